@@ -1,0 +1,53 @@
+# make demo     bake, render and compare a scene (docs: README.md)
+# make test     lint, types and every test
+# make venv     .venv/bin/prt-bake and all that it needs, nothing more
+# make package  the extension's zips, one a platform, in dist/
+# make real-blender   the zip in a real Blender under Xvfb (root, Debian)
+#
+# PYTHON=... chooses the interpreter (3.13 or 3.11), VENV=... the folder of the environment
+
+VENV ?= .venv
+PYTHON ?=
+VALIDATOR := tests/gltf/node_modules
+
+# EEVEE compiles its shaders for half a minute when this is empty; one BLAS thread a process
+export MESA_SHADER_CACHE_DIR ?= $(CURDIR)/.cache/mesa
+export OPENBLAS_NUM_THREADS ?= 1
+export PATH := $(abspath $(VENV))/bin:$(PATH)
+
+.PHONY: demo test venv lint format package wheels real-blender clean
+
+demo: venv
+	python tools/demo.py
+
+test: lint wheels $(VALIDATOR)
+	python -m pytest
+
+venv:
+	@mkdir -p $(MESA_SHADER_CACHE_DIR)
+	@tools/make_venv.sh $(VENV) $(PYTHON)
+
+lint: venv
+	ruff check .
+	ruff format --check .
+	mypy
+
+format: venv
+	ruff check --fix .
+	ruff format .
+
+package: wheels
+	python tools/package.py
+
+wheels: venv
+	python tools/fetch_wheels.py
+
+$(VALIDATOR): tests/gltf/package-lock.json | venv
+	npm ci --prefix tests/gltf --no-audit --no-fund
+	@touch $@
+
+real-blender: wheels
+	tools/real_blender_test.sh
+
+clean:
+	rm -rf build dist demo .cache .mypy_cache .pytest_cache .ruff_cache

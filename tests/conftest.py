@@ -1,0 +1,21 @@
+"""What every test needs before Blender starts: a shader cache that lasts, nobody's preferences."""
+
+import os
+import tempfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+USER_RESOURCES = tempfile.TemporaryDirectory(prefix="prt-baker-user-")
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MESA_SHADER_CACHE_DIR", str(ROOT / ".cache" / "mesa"))
+os.environ["BLENDER_USER_RESOURCES"] = USER_RESOURCES.name
+Path(os.environ["MESA_SHADER_CACHE_DIR"]).mkdir(parents=True, exist_ok=True)
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """The repository."""
+    return ROOT
