@@ -1,0 +1,215 @@
+"""What Blender's glTF exporter calls while it writes: it puts every bake into the file.
+
+The schema is in docs/conventions.md.  Called in this order: ``pre_export_hook``, then for each
+object ``gather_node_mesh_hook``, ``gather_attribute_keep``, ``gather_mesh_hook``,
+``gather_node_hook``, then for each scene ``gather_scene_hook``, when all its nodes are known.
+"""
+
+from collections.abc import Iterable
+from copy import copy
+from typing import Any
+
+import bpy
+import numpy as np
+
+from . import gltf_attributes, gltf_frame, light_state, stamp
+from .prt import sh
+from .prt.layout import Layout
+
+VERSION = 1
+BASIS = "real orthonormal, no Condon-Shortley, l(l+1)+m"
+INCLUDES = "visibility, cosine / pi"
+TRIANGLES = (None, 4)  # loose edges and points have no corners
+UNMOVED = 1e-5  # of the largest entry of a world matrix
+
+Settings = dict[str, Any]
+
+
+def shown_bakes() -> dict[bpy.types.Object, stamp.Stamp]:
+    """The objects of this file whose bake is shown: baked, and not stale."""
+    stamps = {obj: stamp.read(obj) for obj in bpy.data.objects if obj.get(stamp.SWITCH) == 1.0}
+    return {obj: found for obj, found in stamps.items() if found is not None}
+
+
+class glTF2ExportUserExtension:  # the exporter looks for this name
+    """One export.  Does nothing in a file without bakes."""
+
+    is_critical = True  # a file with half a bake in it is worse than none
+
+    def __init__(self) -> None:
+        self._bakes: dict[bpy.types.Object, stamp.Stamp] = {}
+        self._lights: dict[str, light_state.LightState | None] = {}
+        self._meshes: dict[tuple[int, str], Any] = {}
+        self._originals: list[Any] = []
+        self._attributes = self._apply = False  # what the artist chose
+
+    def pre_export_hook(self, settings: Settings) -> None:
+        """What is baked now; the exporter may go to another frame."""
+        self._bakes = shown_bakes()
+        self._lights = {scene.name: light_state.read(scene) for scene in bpy.data.scenes}
+        self._attributes, self._apply = settings["gltf_attributes"], settings["gltf_apply"]
+        if any(stamp.KEY in obj for obj in bpy.data.objects):
+            settings["gltf_attributes"] = True
+        if settings.get("gltf_draco_mesh_compression") and self._bakes:
+            self._bakes = {}
+            _warn(settings, "Draco would round the bakes, so they were left out: switch it off")
+
+    def gather_node_mesh_hook(
+        self, _node_mesh: Any, obj: bpy.types.Object | None, settings: Settings
+    ) -> None:
+        """The baked mesh is the evaluated one; other objects stay as the artist wants them."""
+        settings["gltf_apply"] = self._apply or obj in self._bakes
+
+    def gather_attribute_keep(self, attribute: Any, _settings: Settings) -> None:
+        """Of the artist's attributes only those that he asked for."""
+        if not self._attributes and not gltf_attributes.is_ours(attribute.attr_name):
+            attribute.keep = False
+
+    def gather_mesh_hook(self, mesh: Any, data: Any, *_others: Any) -> None:
+        """COLOR_n are the artist's alone."""
+        colors = getattr(data, "color_attributes", ())
+        names = [color.name for color in colors]
+        if not any(map(gltf_attributes.is_ours, names)):
+            return
+        render = names[colors.render_color_index] if colors.render_color_index >= 0 else ""
+        for primitive in mesh.primitives:
+            primitive.attributes = gltf_attributes.without_our_colors(
+                primitive.attributes, names, render
+            )
+        mesh.extras = _without_ours(mesh.extras)
+
+    def gather_node_hook(self, node: Any, _obj: bpy.types.Object | None, _settings: Any) -> None:
+        """Stamps are for the .blend."""
+        node.extras = _without_ours(node.extras)
+
+    def gather_material_hook(self, material: Any, *_others: Any) -> None:
+        """What we remember of the artist's material is for the .blend."""
+        material.extras = _without_ours(material.extras)
+
+    def gather_scene_hook(
+        self, scene: Any, blender_scene: bpy.types.Scene, settings: Settings
+    ) -> None:
+        """Give baked nodes their transfer and all others a mesh without."""
+        settings["gltf_apply"] = self._apply
+        frame = gltf_frame.Y_UP if settings["gltf_yup"] else gltf_frame.Z_UP
+        nodes = [n for n in settings["vtree"].nodes.values() if n.node and n.node.mesh]
+        matrices = self._matrices(nodes, gltf_frame.world_matrices(scene.nodes), frame)
+        left_out = {n.blender_object.name for n in nodes if not self._dress(n, matrices, frame)}
+        if left_out and not settings.get("gltf_draco_mesh_compression"):
+            names = ", ".join(sorted(left_out))
+            _warn(settings, f"Left out the bake of {names}: it is out of date, bake again")
+        scene.extras = _without_ours(scene.extras)
+        light = self._lights.get(blender_scene.name)
+        if light is not None and matrices:
+            scene.extras = {**(scene.extras or {}), "prt_light": _light(light, frame)}
+
+    def _matrices(
+        self, nodes: Iterable[Any], worlds: dict[int, Any], frame: Any
+    ) -> dict[bpy.types.Object, Any]:
+        """The world 3x3 when baked of every baked object: its node's own, as the file has it, where
+        that still stands as it was baked."""
+        matrices: dict[bpy.types.Object, Any] = {}
+        for node in nodes:
+            obj = node.blender_object
+            if obj not in self._bakes:
+                continue
+            baked = gltf_frame.turn_matrix(self._bakes[obj].matrix, frame)
+            now = frame @ np.array(node.matrix_world.to_3x3(), np.float64) @ frame.T
+            if np.abs(now - baked).max() <= UNMOVED * np.abs(baked).max():
+                matrices[obj] = worlds[id(node.node)]
+            matrices.setdefault(obj, baked)
+        return matrices
+
+    def _dress(self, node: Any, matrices: dict[bpy.types.Object, Any], frame: Any) -> bool:
+        """Exchange the mesh of ``node``; False where an object was baked and comes out without."""
+        obj, mesh = node.blender_object, node.node.mesh
+        key = (id(mesh), obj.name_full if obj in matrices else "")
+        if key not in self._meshes:
+            self._originals.append(mesh)  # so that its id stays its own
+            dressed = _baked(mesh, self._bakes[obj], matrices[obj], frame) if key[1] else None
+            self._meshes[key] = dressed or _bare(mesh)
+        node.node.mesh = self._meshes[key]
+        return obj is None or stamp.KEY not in obj or "prt" in (node.node.mesh.extras or {})
+
+
+def _baked(mesh: Any, found: stamp.Stamp, matrix: Any, frame: Any) -> Any | None:
+    """``mesh`` with the transfer in glTF's frame; None where its attributes are not there."""
+    twin = _twin(mesh)
+    turned: dict[int, gltf_attributes.Accessors | None] = {}  # primitives may share attributes
+    for primitive in twin.primitives:
+        key = id(primitive.attributes)
+        if key not in turned:
+            turned[key] = _turned(primitive.attributes, found.packing, frame)
+        attributes = turned[key]
+        if attributes is None and primitive.mode in TRIANGLES:
+            return None
+        primitive.attributes = attributes or gltf_attributes.bare(primitive.attributes)
+    twin.extras = {**(mesh.extras or {}), "prt": _description(found, matrix)}
+    return twin
+
+
+def _turned(
+    attributes: gltf_attributes.Accessors, packing: Layout, frame: Any
+) -> gltf_attributes.Accessors | None:
+    """``attributes`` with their transfer turned to ``frame``; None where there is none."""
+    values = gltf_attributes.read(attributes, packing.attributes)
+    if values is None:
+        return None
+    values = gltf_frame.turn_transfer(values, packing, frame)
+    return gltf_attributes.replaced(attributes, packing.attributes, values)
+
+
+def _bare(mesh: Any) -> Any:
+    """``mesh`` without transfer."""
+    if not any(map(gltf_attributes.is_ours, _attribute_names(mesh))):
+        return mesh
+    twin = _twin(mesh)
+    for primitive in twin.primitives:
+        primitive.attributes = gltf_attributes.bare(primitive.attributes)
+    return twin
+
+
+def _twin(mesh: Any) -> Any:
+    """A mesh of its own, with primitives of its own."""
+    twin = copy(mesh)
+    twin.primitives = [copy(primitive) for primitive in mesh.primitives]
+    return twin
+
+
+def _attribute_names(mesh: Any) -> set[str]:
+    return {name for primitive in mesh.primitives for name in primitive.attributes}
+
+
+def _description(found: stamp.Stamp, matrix: Any) -> dict[str, Any]:
+    """``mesh.extras.prt``."""
+    return {
+        "version": VERSION,
+        "order": found.order,
+        "channels": found.channels,
+        "layout": list(found.packing.slots),
+        "frame": "world",
+        "matrix": matrix.ravel(order="F").tolist(),
+        "basis": BASIS,
+        "scale": 1,
+        "includes": INCLUDES,
+    }
+
+
+def _light(light: light_state.LightState, frame: Any) -> dict[str, Any]:
+    """``scene.extras.prt_light``."""
+    return {
+        "order": sh.order_of(len(light.radiance_sh)),
+        "radiance_sh": sh.rotate(light.radiance_sh, frame).tolist(),
+        "baked_radiance_sh": sh.rotate(light.baked_radiance_sh, frame).tolist(),
+        "lights": [],
+    }
+
+
+def _without_ours(extras: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Custom properties of the artist's."""
+    kept = {key: v for key, v in (extras or {}).items() if key != "prt" and key[:4] != "prt_"}
+    return kept or None
+
+
+def _warn(settings: Settings, sentence: str) -> None:
+    settings["log"].warning(f"PRT Baker: {sentence}", popup=True)

@@ -1,0 +1,119 @@
+"""Write the scene as a .glb, through Blender's own exporter."""
+
+import json
+import os
+import re
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .gltf import shown_bakes
+from .prt.errors import BakeError
+
+PACKAGE = __package__.rpartition(".")[0]
+
+
+def write(path: str, object_names: list[str] | None = None) -> None:
+    """Export the visible objects of the scene to the .glb ``path``, at the current frame.
+
+    The bakes of ``object_names``, by default of all baked objects that are visible, are in it, or
+    BakeError or RuntimeError says why not; then there is no file, or the one that was there before.
+    """
+    target = Path(path)
+    expected = _visible_bakes() if object_names is None else _named_bakes(object_names)
+    temporary = target.with_name(f".{target.stem}.{os.getpid()}.glb")
+    _check_target(target, temporary)
+    try:
+        _export(temporary, target)
+        _check_bakes(temporary, expected)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _visible_bakes() -> set[str]:
+    """Names of the objects that will come out with a bake."""
+    scene = bpy.context.scene
+    return {o.name for o in shown_bakes() if scene.objects.get(o.name) is o and o.visible_get()}
+
+
+def _named_bakes(names: list[str]) -> set[str]:
+    """``names``, when all of them will come out with a bake."""
+    missing = sorted(set(names) - _visible_bakes())
+    if missing:
+        raise BakeError(
+            f"{missing[0]!r} is hidden or not baked, so the .glb would not show its bake"
+        )
+    return set(names)
+
+
+def _check_target(target: Path, temporary: Path) -> None:
+    """Refuse what cannot be written, before the work."""
+    if target.suffix.lower() != ".glb":
+        raise BakeError(f"The glTF file {str(target)!r} must be called .glb")
+    if target.is_dir():
+        raise BakeError(f"{str(target)!r} is a folder: name a .glb file")
+    try:
+        temporary.touch()
+    except OSError as error:
+        raise BakeError(f"{str(target)!r} cannot be written: {error.strerror}") from error
+
+
+def _export(temporary: Path, target: Path) -> None:
+    if not hasattr(bpy.types, "EXPORT_SCENE_OT_gltf"):
+        raise BakeError("Enable the add-on glTF 2.0 format in the preferences to write a .glb")
+    try:
+        with _found_by_the_exporter():
+            bpy.ops.export_scene.gltf(
+                filepath=str(temporary),
+                export_format="GLB",
+                use_visible=True,
+                use_active_scene=True,
+                export_current_frame=True,
+            )
+    except RuntimeError as error:
+        reason = re.search(r"\[Errno \d+\] ([^:\n]+)", str(error))
+        if reason is None:
+            raise
+        raise BakeError(f"{str(target)!r} cannot be written: {reason[1]}") from error
+
+
+@contextmanager
+def _found_by_the_exporter() -> Iterator[None]:
+    """The exporter asks the add-ons that stand in the preferences, and a package from pip does not
+    stand there: enter it while the file is written."""
+    addons = bpy.context.preferences.addons
+    if PACKAGE in addons:
+        yield
+        return
+    entry = addons.new()
+    entry.module = PACKAGE
+    try:
+        yield
+    finally:
+        addons.remove(entry)
+
+
+def _check_bakes(glb: Path, expected: set[str]) -> None:
+    """RuntimeError when an object's bake is not in the file: the exporter only logs what fails."""
+    document = _json(glb)
+    meshes = document.get("meshes", [])
+    found = {
+        node.get("name")
+        for node in document.get("nodes", [])
+        if "mesh" in node and "prt" in meshes[node["mesh"]].get("extras", {})
+    }
+    if expected - found:
+        raise RuntimeError(f"The bake of {sorted(expected - found)} did not reach the .glb")
+
+
+def _json(glb: Path) -> dict[str, Any]:
+    """The first chunk of a .glb."""
+    with glb.open("rb") as file:
+        length = struct.unpack("<12xI4x", file.read(20))[0]
+        document: dict[str, Any] = json.loads(file.read(length))
+    return document

@@ -1,0 +1,66 @@
+"""From Blender's frame (Z up) to glTF's (Y up): a direction (x, y, z) becomes (x, z, -y).
+
+The exporter turns positions, normals and nodes; attributes it leaves alone, so spherical harmonics
+are turned here.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .prt import sh
+from .prt.layout import Layout, pack, unpack
+
+Float = npt.NDArray[np.float64]
+
+Y_UP: Float = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+Z_UP: Float = np.eye(3)  # an export with +Y Up switched off
+
+
+def turn_transfer(
+    values: npt.NDArray[np.float32], layout: Layout, frame: Float
+) -> npt.NDArray[np.float32]:
+    """Attribute values (E, 4 k) with their transfer turned to ``frame``; the residual and the
+    visibilities have no direction.  What is not finite becomes 0: glTF allows no NaN."""
+    finite = np.nan_to_num(values, posinf=0, neginf=0)
+    turn = sh.rotation_matrix(frame, layout.order)
+    turned = np.array(finite)
+    count = layout.transfer_slots
+    transfer = unpack(layout, finite) @ turn.T
+    turned[:, :count] = pack(layout, transfer.astype(np.float32))[:, :count]
+    return turned
+
+
+def turn_matrix(matrix: npt.ArrayLike, frame: Float) -> Float:
+    """A world 3x3 (9 numbers, column-major) of Blender as one (3, 3) that takes turned positions to
+    turned positions."""
+    blender = np.reshape(np.asarray(matrix, np.float64), (3, 3), order="F")
+    return np.asarray(frame @ blender @ frame.T)
+
+
+def world_matrices(nodes: Iterable[Any]) -> dict[int, Float]:
+    """The world 3x3 of every node of the exporter under the roots ``nodes``, by ``id(node)``, as a
+    reader of the file will multiply it."""
+    return dict(_worlds(nodes, np.eye(3)))
+
+
+def _worlds(nodes: Iterable[Any], parent: Float) -> Iterator[tuple[int, Float]]:
+    for node in nodes:
+        world = parent @ _local(node)
+        yield id(node), world
+        yield from _worlds(node.children or (), world)
+
+
+def _local(node: Any) -> Float:
+    """Rotation times scale of one node; the exporter writes no matrices."""
+    x, y, z, w = node.rotation or (0, 0, 0, 1)
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return np.asarray(rotation * np.asarray(node.scale or (1, 1, 1), np.float64))
