@@ -1,0 +1,161 @@
+"""The engine in a process of its own: started, watched, and killed when nobody waits any more.
+
+Needs no Blender.  The child reads and writes one job folder, which is deleted in the end whatever
+happens.
+"""
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from .prt import job as jobs
+from .prt.errors import BakeError
+
+# Our folders come last in the child's path: a sibling named like a part of the standard library
+# would kill it.
+BOOT = (
+    "import runpy, sys; sys.path.extend(sys.argv[2:]); del sys.argv[2:]; "
+    "runpy.run_module('prt', run_name='__main__', alter_sys=True)"
+)
+NATIVE_PACKAGES = ("embreex", "OpenEXR")
+ONE_BLAS_THREAD = {
+    name: "1"
+    for name in (
+        "OPENBLAS_NUM_THREADS",
+        "OMP_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+        "BLIS_NUM_THREADS",
+    )
+}
+POLL_SECONDS = 0.02
+
+
+@contextmanager
+def job_folder() -> Iterator[Path]:
+    """A new empty folder, gone afterwards."""
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="prt-job-"))
+    except OSError as error:
+        raise BakeError(
+            f"The temporary folder cannot be written ({error.strerror}): make room or choose "
+            "another in Preferences > File Paths"
+        ) from error
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def run(job: jobs.Job, folder: Path) -> Generator[jobs.Progress, None, jobs.Results]:
+    """Do ``job`` in an existing, empty ``folder``; its results are the generator's value.
+
+    ``close()`` kills the child at once.  BakeError where the engine says what can be mended,
+    RuntimeError with its traceback where the fault is ours.
+    """
+    try:
+        jobs.write(job, folder)
+    except OSError as error:
+        raise BakeError(
+            f"The bake's data cannot be written to {folder} ({error.strerror}): make room there"
+        ) from error
+    process = _start(folder)
+    try:
+        yield from _watch(process, folder)
+    finally:
+        process.kill()
+        process.wait()
+    return jobs.read_results(folder)
+
+
+def run_light(source: jobs.LightSource) -> Any:
+    """The coefficients (25, 3) of ``source``'s image, unrotated; waits for the child."""
+    with job_folder() as folder:
+        steps = run(jobs.Job(kind="light", light=source), folder)
+        while True:
+            try:
+                next(steps)
+            except StopIteration as stop:
+                return stop.value.image_sh
+
+
+def _start(folder: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-I", "-B", "-c", BOOT, str(folder), *_child_path()]
+    with (folder / "stderr.txt").open("wb") as errors:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+            env={**os.environ, **ONE_BLAS_THREAD},
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
+
+
+def _child_path() -> list[str]:
+    """This folder, and those of the native packages, found without importing them."""
+    folders = [str(Path(__file__).parent)]
+    for package in NATIVE_PACKAGES:
+        spec = importlib.util.find_spec(package)
+        if spec is None or spec.origin is None:
+            raise BakeError(f"The package {package} is missing: install the extension again")
+        origin = Path(spec.origin)
+        home = origin.parent.parent if origin.stem == "__init__" else origin.parent
+        folders.append(str(home))
+    return list(dict.fromkeys(folders))
+
+
+def _watch(process: subprocess.Popen[bytes], folder: Path) -> Iterator[jobs.Progress]:
+    """Yield the child's latest progress until it has ended well; raise what it says otherwise."""
+    position, latest = 0, jobs.Progress("start", 0.0)
+    while True:
+        code = _wait(process)
+        lines, position = _new_lines(folder / "progress.jsonl", position)
+        for line in lines:
+            if "error" in line:
+                raise BakeError(line["error"])
+            if "fault" in line:
+                raise RuntimeError(f"The engine failed\n{line['fault']}")
+            latest = jobs.Progress(**line)
+        if code == 0:
+            return
+        if code is not None:
+            raise _ended(code, folder)
+        yield latest
+
+
+def _ended(code: int, folder: Path) -> Exception:
+    """What to raise for a child that ended without a word."""
+    if code == -9:
+        return BakeError(
+            "The system stopped the bake, most likely for want of memory: "
+            "hide what casts no shadow on the baked objects"
+        )
+    errors = (folder / "stderr.txt").read_text(encoding="utf-8", errors="replace")
+    return RuntimeError(f"The engine stopped with code {code}\n{errors}")
+
+
+def _wait(process: subprocess.Popen[bytes]) -> int | None:
+    try:
+        return process.wait(POLL_SECONDS)
+    except subprocess.TimeoutExpired:
+        return None
+
+
+def _new_lines(path: Path, position: int) -> tuple[list[dict[str, Any]], int]:
+    """The whole lines after ``position``, and where they end."""
+    if not path.exists():
+        return [], position
+    with path.open("rb") as file:
+        file.seek(position)
+        text = file.read()
+    end = text.rfind(b"\n") + 1
+    return [json.loads(line) for line in text[:end].splitlines()], position + end

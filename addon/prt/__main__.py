@@ -1,0 +1,65 @@
+"""The engine as a program: ``python -m prt JOB_FOLDER``.
+
+Writes ``progress.jsonl`` and, when all is done, ``results``.  Exit codes: 0 done, 2 a BakeError,
+1 a fault of ours; both leave their text as the last line of the progress file.
+"""
+
+import json
+import sys
+import time
+import traceback
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TextIO
+
+from . import job as jobs
+from .errors import BakeError
+from .run import run
+
+PROGRESS = "progress.jsonl"
+INTERVAL = 0.05  # seconds between two lines
+
+
+def main(folder: Path) -> int:
+    """Do the job in ``folder``; the exit code."""
+    with (folder / PROGRESS).open("a", encoding="utf-8") as progress:
+        try:
+            _run(folder, progress)
+        except BakeError as error:
+            return _say(progress, 2, error=str(error))
+        except MemoryError:
+            sentence = "There is not enough memory for this bake: hide what casts no shadow on it"
+            return _say(progress, 2, error=sentence)
+        except OSError as error:
+            return _say(progress, 2, error=f"The job folder cannot be used: {error}")
+        except Exception:
+            return _say(progress, 1, fault=traceback.format_exc())
+    return 0
+
+
+def _run(folder: Path, progress: TextIO) -> None:
+    steps = run(jobs.read(folder))
+    last, phase = 0.0, ""
+    while True:
+        try:
+            step = next(steps)
+        except StopIteration as stop:
+            jobs.write_results(stop.value, folder)
+            return
+        if step.phase != phase or time.monotonic() - last > INTERVAL:
+            last, phase = time.monotonic(), step.phase
+            _write(progress, asdict(step))
+
+
+def _say(progress: TextIO, code: int, **line: str) -> int:
+    _write(progress, line)
+    return code
+
+
+def _write(progress: TextIO, line: dict[str, Any]) -> None:
+    progress.write(json.dumps(line) + "\n")
+    progress.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))

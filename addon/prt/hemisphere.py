@@ -1,0 +1,141 @@
+"""The directions that a point traces: one local set for all points, and the turn to each normal.
+
+A point's frame is Rz(phi) Ry(theta) Rz(azimuth), the normal being Rz(phi) Ry(theta) z.  Local
+coefficients are summed with one product for many points and then turned to world axes, which is
+far cheaper than evaluating the basis for every ray.
+"""
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+import numpy.typing as npt
+
+from . import sh
+
+Array = npt.NDArray[np.float32]
+GOLDEN_ANGLE = pi * (3 - 5**0.5)
+
+
+@dataclass(frozen=True)
+class HemisphereSet:
+    """``directions`` (N, 3) about +z and ``weights`` (N, n²): the transfer of a point in its own
+    frame is the sum of the weights of the directions that reach the sky."""
+
+    directions: Array
+    weights: Array
+
+
+def cosine_fibonacci(count: int) -> npt.NDArray[np.float64]:
+    """Directions (N, 3) about +z, density cos / pi: a Fibonacci lattice on the disc, lifted."""
+    i = np.arange(count)
+    squared_radius = (i + 0.5) / count
+    radius, phi = np.sqrt(squared_radius), i * GOLDEN_ANGLE
+    return np.stack(
+        [radius * np.cos(phi), radius * np.sin(phi), np.sqrt(1 - squared_radius)], axis=1
+    )
+
+
+def hemisphere_set(count: int, order: int) -> HemisphereSet:
+    """``count`` cosine-distributed directions with weights that are exact under an open sky.
+
+    Every weight gets the same share of what the set misses of the open transfer: that is the
+    correction ``T + v (T_open - mean Y)`` with v the visible fraction, at no cost.
+    """
+    directions = cosine_fibonacci(count)
+    values = sh.basis(directions, order)
+    missing = sh.open_transfer(np.array([0.0, 0.0, 1.0]), order) - values.mean(axis=0)
+    return HemisphereSet(
+        directions.astype(np.float32), ((values + missing) / count).astype(np.float32)
+    )
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Cosines and sines (P,) of theta, phi and azimuth of P local frames."""
+
+    cos_theta: Array
+    sin_theta: Array
+    cos_phi: Array
+    sin_phi: Array
+    cos_azimuth: Array
+    sin_azimuth: Array
+
+    def matrices(self) -> Array:
+        """Rotations (P, 3, 3) from local to world; the third column is the normal."""
+        ct, st, cp, sp = self.cos_theta, self.sin_theta, self.cos_phi, self.sin_phi
+        ca, sa = self.cos_azimuth, self.sin_azimuth
+        tangent = np.stack([ct * cp, ct * sp, -st], axis=1)
+        bitangent = np.stack([-sp, cp, np.zeros_like(cp)], axis=1)
+        normal = np.stack([st * cp, st * sp, ct], axis=1)
+        x = ca[:, None] * tangent + sa[:, None] * bitangent
+        y = ca[:, None] * bitangent - sa[:, None] * tangent
+        return np.stack([x, y, normal], axis=2)
+
+    def __getitem__(self, part: slice) -> "Frames":
+        return Frames(*(values[part] for values in vars(self).values()))
+
+
+def frames(normals: npt.ArrayLike, azimuth: npt.ArrayLike) -> Frames:
+    """Frames about unit ``normals`` (P, 3), turned by ``azimuth`` (P,) radians about them."""
+    n, angle = np.asarray(normals, np.float64), np.asarray(azimuth, np.float64)
+    sine = np.hypot(n[:, 0], n[:, 1])
+    at_pole = sine == 0
+    divisor = np.where(at_pole, 1, sine)
+    values = (
+        n[:, 2],
+        sine,
+        np.where(at_pole, 1, n[:, 0] / divisor),
+        np.where(at_pole, 0, n[:, 1] / divisor),
+        np.cos(angle),
+        np.sin(angle),
+    )
+    return Frames(*(v.astype(np.float32) for v in values))
+
+
+class SetInWorld:
+    """World directions of a local set for many frames, as one product.
+
+    Row p of the (P, 9) matrices times a (9, 3N) arrangement of the set gives the N directions of
+    point p, ray by ray as Embree reads them.
+    """
+
+    def __init__(self, directions: Array):
+        self.count = len(directions)
+        arranged = np.zeros((3, 3, self.count, 3), np.float32)
+        for c in range(3):
+            arranged[c, :, :, c] = directions.T
+        self._arranged = arranged.reshape(9, 3 * self.count)
+
+    def __call__(self, matrices: Array, out: Array) -> None:
+        """Directions of ``matrices`` (P, 3, 3) into ``out`` (P * N, 3)."""
+        np.matmul(matrices.reshape(-1, 9), self._arranged, out=out.reshape(len(matrices), -1))
+
+
+class Turn:
+    """Turns local coefficients to world axes: Dz(phi) J' Dz(theta) J Dz(azimuth), in which J, the
+    quarter turn about x, is a constant."""
+
+    def __init__(self, order: int):
+        quarter = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+        self._order = order
+        self._quarter = sh.rotation_matrix(quarter, order).astype(np.float32)
+
+    def __call__(self, frames: Frames, local: Array) -> Array:
+        """World coefficients (P, n²) of ``local`` (P, n²)."""
+        values = self._about_z(frames.cos_azimuth, frames.sin_azimuth, local)
+        values = values @ self._quarter.T
+        values = self._about_z(frames.cos_theta, frames.sin_theta, values)
+        values = values @ self._quarter
+        return self._about_z(frames.cos_phi, frames.sin_phi, values)
+
+    def _about_z(self, cosine: Array, sine: Array, values: Array) -> Array:
+        turned = values.copy()
+        c, s = np.ones_like(cosine), np.zeros_like(sine)
+        for m in range(1, self._order):
+            c, s = c * cosine - s * sine, s * cosine + c * sine
+            even = [sh.index(band, m) for band in range(m, self._order)]
+            odd = [sh.index(band, -m) for band in range(m, self._order)]
+            turned[:, even] = c[:, None] * values[:, even] - s[:, None] * values[:, odd]
+            turned[:, odd] = s[:, None] * values[:, even] + c[:, None] * values[:, odd]
+        return turned

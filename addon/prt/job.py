@@ -1,0 +1,283 @@
+"""A job: everything that decides a bake, as a folder of plain arrays and one settings file.
+
+``write`` and ``read`` are inverse; ``content_hash`` names the result.  The results come back in the
+sub-folder ``results``, which exists only when all of it is there.
+
+    settings.json           kind, settings, light, names and domains of the receivers, the centre
+    occluder_vertices.npy   (V, 3) float32, world axes, ``centre`` subtracted in float64
+    occluder_triangles.npy  (F, 3) int32
+    0_vertices.npy ...      the arrays of receiver 0, see ``Receiver``; its vertices are float32
+                            with ``centre`` subtracted
+    image.npy               the pixels of a world that is no file, (H, W, 3) float32
+    progress.jsonl          one line a step, see ``Progress``
+    results/                light.npy, 0_transfer.npy, 0_element_points.npy, report.json
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+VERSION = 1
+
+Array = npt.NDArray[Any]
+Domain = Literal["POINT", "CORNER"]
+Kind = Literal["bake", "light", "verify"]
+Vector = tuple[float, float, float]
+IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+LIGHT_ORDER = 5  # the light is always projected to this order: a bake of a lower one reads its head
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the artist chose.  ``threads`` 0 means every core and changes no result."""
+
+    order: int = 3
+    rays: int = 256
+    seed: int = 0
+    threads: int = 0
+    verify_points: int = 0
+    verify_rays: int = 16384
+
+
+@dataclass(frozen=True)
+class LightSource:
+    """Distant light: ``strength * image(rotation @ direction)``, or ``strength`` alone.
+
+    ``strength`` is radiance (W sr⁻¹ m⁻², linear Rec.709) where there is no image and a factor where
+    there is one.  ``image`` is a lat-long .exr or .hdr on disk; ``pixels`` (H, W, 3) float32, top
+    row first, stands in for one that is in memory.  ``rotation`` takes world directions to the
+    image's.
+    """
+
+    strength: Vector = (1.0, 1.0, 1.0)
+    image: str | None = None
+    pixels: Array | None = field(default=None, compare=False)
+    rotation: tuple[Vector, Vector, Vector] = IDENTITY
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """A mesh that receives light, evaluated, in world space.
+
+    ``vertices`` (V, 3) float64, ``triangles`` (F, 3) int32 into the vertices, wound so that the
+    geometric normal points out (mirrored objects too), ``triangle_corners`` (F, 3) int32 into the
+    corners, ``corner_vertices`` (C,) int32, ``normals`` float32 unit shading normals: (V, 3) where
+    ``domain`` is POINT, (C, 3) where it is CORNER.  ``transfer`` (E, channels, n²) float32, one for
+    each element of the domain, is given for a job that verifies a bake.
+    """
+
+    name: str
+    domain: Domain
+    vertices: Array
+    triangles: Array
+    triangle_corners: Array
+    corner_vertices: Array
+    normals: Array
+    transfer: Array | None = None
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that a run of the engine reads; ``occluder_vertices`` (V, 3) float64 in world space."""
+
+    kind: Kind = "bake"
+    settings: Settings = Settings()
+    light: LightSource | None = None
+    receivers: tuple[Receiver, ...] = ()
+    occluder_vertices: Array = field(default_factory=lambda: np.empty((0, 3)))
+    occluder_triangles: Array = field(default_factory=lambda: np.empty((0, 3), np.int32))
+    repairs: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run is: ``fraction`` of the whole work done, rays cast so far, seconds so far."""
+
+    phase: str
+    fraction: float
+    rays: int = 0
+    seconds: float = 0.0
+
+    @property
+    def seconds_left(self) -> float | None:
+        """By the rate so far; None until there is one."""
+        if self.fraction < 0.02:
+            return None
+        return self.seconds * (1 - self.fraction) / self.fraction
+
+
+@dataclass(frozen=True)
+class ReceiverResult:
+    """Baked: ``transfer`` (P, channels, n²) float32 of the traced points, and for each element of
+    the domain the point that it shows, ``element_points`` (E,) int32, -1 where it has none."""
+
+    name: str
+    transfer: Array
+    element_points: Array
+
+    def element_transfer(self) -> Array:
+        """Transfer (E, channels, n²) at every vertex or corner, 0 where nothing was traced."""
+        values: Array = self.transfer[self.element_points]
+        values[self.element_points < 0] = 0
+        return values
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a run leaves: ``image_sh`` (25, 3) float64 is the light's image (or 1, where there is
+    none) unrotated and without its strength; ``report`` is the JSON report."""
+
+    image_sh: Array | None
+    receivers: tuple[ReceiverResult, ...]
+    report: dict[str, Any]
+
+
+RECEIVER_ARRAYS = ("vertices", "triangles", "triangle_corners", "corner_vertices", "normals")
+RESULTS = "results"
+
+
+def content_hash(job: Job) -> str:
+    """Names the result: equal jobs give equal bits, whatever ``threads`` is."""
+    digest = hashlib.blake2b(digest_size=16)
+    settings = {k: v for k, v in asdict(job.settings).items() if k != "threads"}
+    header = [VERSION, job.kind, settings, _light_header(job.light)]
+    header.append([(r.name, r.domain) for r in job.receivers])
+    digest.update(json.dumps(header, sort_keys=True).encode())
+    for name, array in _arrays(job, None):
+        digest.update(f"{name} {array.shape} {array.dtype}".encode())
+        digest.update(np.ascontiguousarray(array))
+    return digest.hexdigest()
+
+
+def write(job: Job, folder: Path) -> None:
+    """Write ``job`` into an existing, empty ``folder``."""
+    centre = _centre(job)
+    for name, array in _arrays(job, centre):
+        np.save(folder / f"{name}.npy", array)
+    receivers = [
+        {"name": r.name, "domain": r.domain, "has_transfer": r.transfer is not None}
+        for r in job.receivers
+    ]
+    values = {
+        "version": VERSION,
+        "kind": job.kind,
+        "settings": asdict(job.settings),
+        "light": _light_header(job.light),
+        "receivers": receivers,
+        "repairs": job.repairs,
+        "centre": centre.tolist(),
+    }
+    (folder / "settings.json").write_text(json.dumps(values, indent=1), encoding="utf-8")
+
+
+def read(folder: Path) -> Job:
+    """The job of ``folder``, its arrays memory-mapped and centred."""
+    values = json.loads((folder / "settings.json").read_text(encoding="utf-8"))
+    return Job(
+        kind=values["kind"],
+        settings=Settings(**values["settings"]),
+        light=_read_light(values["light"], folder),
+        receivers=tuple(_read_receiver(folder, i, r) for i, r in enumerate(values["receivers"])),
+        occluder_vertices=_load(folder, "occluder_vertices"),
+        occluder_triangles=_load(folder, "occluder_triangles"),
+        repairs=values["repairs"],
+    )
+
+
+def write_results(results: Results, folder: Path) -> None:
+    """Write ``results`` into ``folder``: under another name first, so they are whole or absent."""
+    unfinished = folder / f"{RESULTS}.tmp"
+    unfinished.mkdir()
+    if results.image_sh is not None:
+        np.save(unfinished / "light.npy", results.image_sh)
+    for i, result in enumerate(results.receivers):
+        np.save(unfinished / f"{i}_transfer.npy", result.transfer)
+        np.save(unfinished / f"{i}_element_points.npy", result.element_points)
+    report = {"names": [r.name for r in results.receivers], "report": results.report}
+    (unfinished / "report.json").write_text(json.dumps(report), encoding="utf-8")
+    unfinished.rename(folder / RESULTS)
+
+
+def read_results(folder: Path) -> Results:
+    """The results in ``folder``, loaded whole."""
+    done = folder / RESULTS
+    values = json.loads((done / "report.json").read_text(encoding="utf-8"))
+    receivers = tuple(
+        ReceiverResult(
+            name, np.load(done / f"{i}_transfer.npy"), np.load(done / f"{i}_element_points.npy")
+        )
+        for i, name in enumerate(values["names"])
+    )
+    light = done / "light.npy"
+    return Results(np.load(light) if light.exists() else None, receivers, values["report"])
+
+
+def _centre(job: Job) -> Array:
+    """The middle of the receivers' bounds: float32 is finest where we bake."""
+    bounds = [e for r in job.receivers if len(r.vertices) for e in _bounds(r.vertices)]
+    if not bounds:
+        return np.zeros(3)
+    low, high = _bounds(np.array(bounds))
+    return np.asarray(0.5 * (low + high))
+
+
+def _bounds(vertices: Array) -> tuple[Array, Array]:
+    return vertices.min(axis=0), vertices.max(axis=0)
+
+
+def _arrays(job: Job, centre: Array | None) -> Iterator[tuple[str, Array]]:
+    yield "occluder_vertices", _centred(job.occluder_vertices, centre)
+    yield "occluder_triangles", np.asarray(job.occluder_triangles, np.int32)
+    for i, receiver in enumerate(job.receivers):
+        for name in RECEIVER_ARRAYS:
+            array = getattr(receiver, name)
+            yield f"{i}_{name}", _centred(array, centre) if name == "vertices" else array
+        if receiver.transfer is not None:
+            yield f"{i}_transfer", receiver.transfer
+    if job.light is not None and job.light.pixels is not None:
+        yield "image", job.light.pixels
+
+
+def _centred(vertices: Array, centre: Array | None) -> Array:
+    return vertices if centre is None else (vertices - centre).astype(np.float32)
+
+
+def _light_header(light: LightSource | None) -> dict[str, Any] | None:
+    if light is None:
+        return None
+    return {f.name: getattr(light, f.name) for f in fields(light) if f.name != "pixels"}
+
+
+def _read_light(values: dict[str, Any] | None, folder: Path) -> LightSource | None:
+    if values is None:
+        return None
+    pixels = _load(folder, "image") if (folder / "image.npy").exists() else None
+    rotation = tuple(tuple(row) for row in values["rotation"])
+    strength = tuple(values["strength"])
+    return LightSource(strength, values["image"], pixels, rotation)  # type: ignore[arg-type]
+
+
+def _read_receiver(folder: Path, i: int, values: dict[str, Any]) -> Receiver:
+    arrays = {name: _load(folder, f"{i}_{name}") for name in RECEIVER_ARRAYS}
+    transfer = _load(folder, f"{i}_transfer") if values["has_transfer"] else None
+    return Receiver(values["name"], values["domain"], **arrays, transfer=transfer)
+
+
+def _load(folder: Path, name: str) -> Array:
+    path = folder / f"{name}.npy"
+    shape, dtype = _npy_shape(path)
+    return np.empty(shape, dtype) if 0 in shape else np.load(path, mmap_mode="r")
+
+
+def _npy_shape(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    with path.open("rb") as file:
+        np.lib.format.read_magic(file)
+        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    return shape, dtype

@@ -1,0 +1,87 @@
+"""Which rays reach the sky: embreex behind a protocol, with toy twins for tests.
+
+The only module that imports embreex.
+"""
+
+import logging
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import BakeError
+
+Vectors = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.int32]
+CLEAR, BLOCKED = -1, 0  # embreex's own codes
+
+
+class Occlusion(Protocol):
+    """Anything that stops rays.  Safe to call from several threads."""
+
+    def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:
+        """For rays (R, 3), (R, 3): CLEAR (-1) where the sky is reached, else BLOCKED (0)."""
+        ...
+
+
+class Sky:
+    """Nothing is hit."""
+
+    def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:
+        return np.full(len(directions), CLEAR, np.int32)
+
+
+class Lid:
+    """Everything is hit."""
+
+    def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:
+        return np.full(len(directions), BLOCKED, np.int32)
+
+
+class _Failures(logging.Handler):
+    """embreex only logs the device's errors; this keeps them so that they can be raised."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.messages: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.messages.append(record.getMessage())
+
+
+class Triangles:
+    """The triangles of a scene, in Embree.
+
+    ``robust`` costs 1.2 to 1.5 times the time of Embree's fast mode and lets no ray slip between
+    two triangles of a closed mesh.
+    """
+
+    def __init__(self, vertices: npt.ArrayLike, triangles: npt.ArrayLike, robust: bool = True):
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh
+
+        failures = _Failures()
+        logger = logging.getLogger("embreex")
+        logger.addHandler(failures)
+        try:
+            self._scene: Any = rtcore_scene.EmbreeScene(robust=robust)
+            corners = np.ascontiguousarray(vertices, np.float32)
+            TriangleMesh(self._scene, corners, np.ascontiguousarray(triangles, np.int32))
+            one_ray = np.array([[0.0, 0.0, 1.0]], np.float32)
+            self._scene.run(one_ray, one_ray, query="OCCLUDED")  # commits, before threads start
+        finally:
+            logger.removeHandler(failures)
+        if failures.messages:
+            raise BakeError(
+                f"Embree could not take the scene's {len(corners):,} vertices "
+                f"({failures.messages[0]}): hide what casts no shadow on the baked objects"
+            )
+
+    def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:
+        mask: Mask = self._scene.run(origins, directions, query="OCCLUDED")
+        return mask
+
+
+def occlusion(vertices: npt.ArrayLike, triangles: npt.ArrayLike) -> Occlusion:
+    """Embree over ``vertices`` (V, 3) and ``triangles`` (F, 3); the open sky where F is 0."""
+    return Triangles(vertices, triangles) if len(np.asarray(triangles)) else Sky()

@@ -1,0 +1,104 @@
+"""Which points are traced, and from where."""
+
+import numpy as np
+import pytest
+import shapes
+from prt_baker.addon.prt import points, rays, sh
+from test_transfer import trace
+
+
+def test_flat_grid_traces_each_vertex_once():
+    vertices, triangles = shapes.grid([0, 0, 0], [1, 0, 0], [0, 1, 0], 10)
+    where = points.distinct_points(shapes.receiver(vertices, triangles))
+    assert len(where.origins) == len(vertices)
+    assert len(where.element_points) == triangles.size
+
+
+def test_box_traces_each_vertex_once_for_each_side():
+    vertices, triangles = shapes.box(count=4)
+    where = points.distinct_points(shapes.receiver(vertices, triangles))
+    assert len(where.origins) == 6 * 25
+
+
+def test_coincident_vertices_with_one_normal_are_one_point():
+    vertices, triangles = shapes.grid([0, 0, 0], [1, 0, 0], [0, 1, 0], 4)
+    split = vertices[triangles.reshape(-1)]
+    separate = np.arange(len(split)).reshape(-1, 3)
+    where = points.distinct_points(shapes.receiver(split, separate))
+    assert len(where.origins) == len(vertices)
+
+
+def test_every_element_shows_a_point_at_its_place():
+    vertices, triangles, normals = shapes.sphere(16, 32)
+    receiver = shapes.receiver(vertices, triangles, normals)
+    where = points.distinct_points(receiver)
+    near = where.origins[where.element_points]
+    assert np.abs(near - vertices).max() < 0.01
+    np.testing.assert_allclose(where.normals[where.element_points], normals, atol=1e-6)
+
+
+def test_loose_vertices_have_no_point():
+    vertices, triangles = shapes.grid([0, 0, 0], [1, 0, 0], [0, 1, 0], 2)
+    vertices = np.concatenate([vertices, [[5.0, 5, 5]]])
+    receiver = shapes.receiver(vertices, triangles, np.tile([0.0, 0, 1], (len(vertices), 1)))
+    assert points.distinct_points(receiver).element_points[-1] == -1
+
+
+def test_faces_without_area_have_no_point():
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]])
+    triangles = np.array([[0, 1, 2], [0, 1, 3]])
+    where = points.distinct_points(shapes.receiver(vertices, triangles))
+    assert (where.element_points[3:] == -1).all()
+    assert (where.element_points[:3] >= 0).all()
+
+
+def test_missing_normals_are_replaced_by_the_faces():
+    vertices, triangles = shapes.grid([0, 0, 0], [1, 0, 0], [0, 1, 0], 2)
+    receiver = shapes.receiver(vertices, triangles, np.zeros((len(vertices), 3)))
+    np.testing.assert_allclose(points.distinct_points(receiver).normals[:, 2], 1)
+
+
+@pytest.mark.parametrize("place", [(0, 0, 0), (100, -50, 30)])
+@pytest.mark.parametrize("size", [1e-3, 2.0, 1e3])
+def test_nothing_leaks_into_a_closed_box(size, place):
+    """Every vertex of a box lies on edges and in inner corners; none may see the sky."""
+    vertices, triangles = shapes.box(size, 8)
+    vertices = vertices + np.array(place) * size
+    receiver = shapes.receiver(vertices, triangles)
+    where = points.distinct_points(receiver)
+    sky = rays.occlusion(receiver.vertices, triangles)
+    assert np.abs(trace(where, sky, count=256)).max() == 0
+
+
+def test_inner_corners_see_their_open_part():
+    """In a box without its lid, the lower corners' floor sees the sky as the limit there does."""
+    vertices, triangles = shapes.box(2.0, 8)
+    top = (vertices[triangles][:, :, 2] > 0.999).all(axis=1)
+    receiver = shapes.receiver(vertices, triangles[~top])
+    where = points.distinct_points(receiver)
+    sky = rays.occlusion(receiver.vertices, triangles[~top])
+    result = trace(where, sky, count=4096)
+    corners = np.abs(np.abs(where.origins[:, :2]) - 1).max(axis=1) < 0.01
+    floor = corners & (where.normals[:, 2] > 0.5)
+    assert floor.sum() == 4
+    visible = result[floor, 0] / sh.basis([0, 0, 1.0], 1)[0]
+    a = 1.0  # the lid is a 2 x 2 square 2 above its corner: form factor, Howell C-11
+    factor = 2 * a / np.sqrt(1 + a * a) * np.arctan(a / np.sqrt(1 + a * a)) / (2 * np.pi)
+    np.testing.assert_allclose(visible, factor, rtol=0.03)
+
+
+def test_a_smooth_convex_mesh_does_not_shadow_itself():
+    """However coarse: its points lie on or above the tangent planes."""
+    vertices, triangles, normals = shapes.sphere(5, 8)
+    receiver = shapes.receiver(vertices, triangles, normals)
+    where = points.distinct_points(receiver)
+    sky = rays.occlusion(receiver.vertices, triangles)
+    expected = sh.open_transfer(where.normals, 3)
+    np.testing.assert_allclose(trace(where, sky), expected, atol=1e-5)
+
+
+def test_morton_order_keeps_neighbours_together():
+    grid = np.stack(np.meshgrid(*[np.arange(16.0)] * 3), -1).reshape(-1, 3)
+    shuffled = grid[np.random.default_rng(0).permutation(len(grid))]
+    steps = np.diff(shuffled[points.morton_order(shuffled)], axis=0)
+    assert np.abs(steps).sum(axis=1).mean() < 3

@@ -1,0 +1,147 @@
+"""A whole run, in this process and in the engine's own."""
+
+import subprocess
+import sys
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from prt_baker.addon import engine
+from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.errors import BakeError
+from prt_baker.addon.prt.run import run
+
+
+def finish(steps):
+    """Everything that a generator yields, and its value."""
+    seen = []
+    while True:
+        try:
+            seen.append(next(steps))
+        except StopIteration as stop:
+            return seen, stop.value
+
+
+@pytest.fixture
+def job():
+    vertices, triangles, normals = shapes.sphere(16, 32)
+    ball = replace(shapes.receiver(vertices, triangles, normals), vertices=vertices)
+    floor = shapes.grid([-3, -3, -1], [6, 0, 0], [0, 6, 0], 20)
+    ground = replace(shapes.receiver(*floor, name="floor"), vertices=floor[0])
+    everything = shapes.join((vertices, triangles), floor)
+    settings = jobs.Settings(rays=64, verify_points=20, verify_rays=4096)
+    return jobs.Job("bake", settings, jobs.LightSource(), (ball, ground), *everything)
+
+
+def test_the_child_process_gives_the_same_bits(job, tmp_path):
+    jobs.write(job, tmp_path)
+    _, here = finish(run(jobs.read(tmp_path)))
+    with engine.job_folder() as folder:
+        _, there = finish(engine.run(job, folder))
+    for mine, its in zip(here.receivers, there.receivers, strict=True):
+        np.testing.assert_array_equal(mine.transfer, its.transfer)
+        np.testing.assert_array_equal(mine.element_points, its.element_points)
+    np.testing.assert_array_equal(here.image_sh, there.image_sh)
+
+
+def test_the_report_adds_up(job):
+    steps, results = finish(run(job))
+    report = results.report
+    ball, floor = report["objects"]
+    assert (ball["name"], floor["name"]) == ("shape", "floor")
+    assert floor["points"] == 21 * 21
+    assert floor["skipped"] == {"the same position and normal": (20 * 20 * 6 - 21 * 21) * 64}
+    assert all(o["rays"] >= o["points"] * 64 for o in (ball, floor))
+    assert 0 < ball["estimated_error"] < 0.1
+    assert ball["measured_error"]["at_points"] < 0.1
+    assert [s.fraction for s in steps] == sorted(s.fraction for s in steps)
+    assert steps[-1].fraction == pytest.approx(1)
+
+
+def test_a_verified_bake_measures_what_the_bake_measured(job):
+    _, baked = finish(run(job))
+    receivers = tuple(
+        replace(r, transfer=result.element_transfer())
+        for r, result in zip(job.receivers, baked.receivers, strict=True)
+    )
+    _, verified = finish(run(replace(job, kind="verify", light=None, receivers=receivers)))
+    for first, second in zip(baked.report["objects"], verified.report["objects"], strict=True):
+        assert first["measured_error"] == second["measured_error"]
+
+
+def test_verify_sees_a_wrong_bake(job):
+    _, baked = finish(run(job))
+    wrong = [result.element_transfer() * 1.2 for result in baked.receivers]
+    receivers = tuple(replace(r, transfer=t) for r, t in zip(job.receivers, wrong, strict=True))
+    _, verified = finish(run(replace(job, kind="verify", light=None, receivers=receivers)))
+    assert verified.report["objects"][0]["measured_error"]["at_points"] == pytest.approx(
+        0.2, abs=0.03
+    )
+
+
+def test_a_white_world_lights_an_open_white_plane_white():
+    vertices, triangles = shapes.grid([0, 0, 0], [1, 0, 0], [0, 1, 0], 3)
+    plane = shapes.receiver(vertices, triangles)
+    _, results = finish(run(jobs.Job("bake", light=jobs.LightSource(), receivers=(plane,),
+                                     occluder_vertices=vertices, occluder_triangles=triangles)))  # fmt: skip
+    exit_radiance = results.receivers[0].transfer[:, 0] @ results.image_sh[:9]
+    np.testing.assert_allclose(exit_radiance, 1, atol=1e-5)
+    np.testing.assert_allclose(results.receivers[0].transfer[:, 0], [sh.open_transfer(
+        [0, 0, 1.0], 3)] * 16, atol=1e-5)  # fmt: skip
+
+
+def test_a_missing_image_is_one_sentence_from_the_child():
+    light = jobs.LightSource(image="/nowhere/sky.exr")
+    with pytest.raises(BakeError, match=r"sky\.exr"):
+        engine.run_light(light)
+
+
+def test_a_fault_of_ours_keeps_its_traceback(tmp_path, job):
+    broken = replace(job, receivers=(replace(job.receivers[0], normals=np.zeros((3, 3))),))
+    with pytest.raises(RuntimeError, match="Traceback"):
+        finish(engine.run(broken, tmp_path))
+
+
+def children():
+    command = ["ps", "-e", "-o", "pid,args"]
+    return [line for line in subprocess.check_output(command, text=True).splitlines()
+            if "run_module('prt'" in line and "defunct" not in line]  # fmt: skip
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the process table")
+def test_cancel_kills_the_child_and_leaves_nothing(job):
+    slow = replace(job, settings=replace(job.settings, rays=65536))
+    with engine.job_folder() as folder, closing(engine.run(slow, folder)) as steps:
+        while next(steps).phase != "transfer":
+            pass
+        assert any(str(folder) in child for child in children())
+    assert not folder.exists()
+    assert not any(str(folder) in child for child in children())
+
+
+def test_a_full_disk_is_one_sentence(job, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "save", full)
+    with pytest.raises(BakeError, match="No space left"):
+        finish(engine.run(job, tmp_path))
+
+
+def test_a_missing_package_is_one_sentence(job, tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "NATIVE_PACKAGES", ("no_such_package",))
+    with pytest.raises(BakeError, match="no_such_package"):
+        finish(engine.run(job, tmp_path))
+
+
+def test_the_child_ignores_what_lies_in_the_working_folder(job, tmp_path, monkeypatch):
+    (tmp_path / "json.py").write_text("raise SystemExit(3)")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    image_sh = engine.run_light(jobs.LightSource())
+    assert image_sh.shape == (25, 3)
+    assert Path("json.py").exists()
