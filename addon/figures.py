@@ -1,0 +1,69 @@
+"""Numbers in an artist's words, the same in panel, status bar and command line."""
+
+from .prt.job import Progress
+from .stamp import Stamp
+
+PHASES = {
+    "scene": "Reading the scene",
+    "light": "Reading the light",
+    "points": "Finding the points",
+    "transfer": "Tracing",
+    "verify": "Tracing again to verify",
+}
+
+
+def phase(progress: Progress) -> str:
+    """What is being done."""
+    return PHASES.get(progress.phase, progress.phase)
+
+
+def percent(error: float) -> str:
+    """A relative error as '12 %', '1.2 %' or 'under 0.1 %'."""
+    value = 100 * error
+    if value < 0.095:
+        return "under 0.1 %"
+    return f"{value:.1f} %" if value < 9.95 else f"{value:.0f} %"
+
+
+def duration(seconds: float) -> str:
+    """Seconds as '8 s', '2 min 05 s' or '1 h 04 min'."""
+    whole = max(0, round(seconds))
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def objects(count: int) -> str:
+    """'1 object' or '3 objects'."""
+    return f"{count} object" if count == 1 else f"{count} objects"
+
+
+def progress_line(progress: Progress) -> str:
+    """Phase, per cent and time left, as one line."""
+    left = progress.seconds_left
+    tail = f", {duration(left)} left" if left is not None else ""
+    return f"{phase(progress)}, {100 * progress.fraction:.0f} %{tail}"
+
+
+def stamp_lines(stamp: Stamp) -> list[str]:
+    """What a bake says of itself: size, speed, and its errors where they are known."""
+    return [
+        f"order {stamp.order}, {stamp.points:,} points",
+        f"{stamp.rays:,} rays a point, {stamp.mrays_per_second:.1f} Mrays/s",
+        *_errors([stamp]),
+    ]
+
+
+def summary_lines(stamps: list[Stamp]) -> list[str]:
+    """Several bakes together: how many, how large, and the worst errors among them."""
+    points = sum(stamp.points for stamp in stamps)
+    return [f"{objects(len(stamps))}, {points:,} points", *_errors(stamps)]
+
+
+def _errors(stamps: list[Stamp]) -> list[str]:
+    estimated = [one.estimated_error for one in stamps if one.estimated_error is not None]
+    measured = [one.measured_error for one in stamps if one.measured_error is not None]
+    lines = [f"about {percent(max(estimated))} noise"] if estimated else []
+    return lines + ([f"{percent(max(measured))} error measured"] if measured else [])

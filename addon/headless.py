@@ -1,0 +1,97 @@
+"""A bake without an artist: what the command line does once its options are understood."""
+
+import difflib
+import json
+import sys
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from . import bake, figures, gltf_export, outputs, properties, scene, selection
+from .options import Options
+from .progress_lines import ProgressLines
+from .prt.errors import BakeError
+from .prt.job import Progress, Settings
+
+Report = dict[str, Any]
+
+
+def open_blend(path: Path) -> None:
+    """Open ``path``; BakeError when it is missing or damaged."""
+    if not path.is_file():
+        raise BakeError(f"{path} does not exist or is no file")
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(path.absolute()), load_ui=False)
+    except RuntimeError as error:
+        raise BakeError(f"{path} cannot be opened: {_reason(error)}") from error
+
+
+def run(asked: Options) -> None:
+    """Bake the opened scene, write what was asked for, and print a line for each object."""
+    current = bpy.context.scene
+    names = _object_names(current, asked.objects)
+    settings = _settings(current, asked)
+    world = str(Path(asked.world).absolute()) if asked.world else None
+    report = _finish(bake.bake(current.name, names, settings, world))
+    _write(asked, names, report)
+    for name in names:
+        for stamp in selection.stamps([name]):
+            sys.stdout.write(f"{name}: {', '.join(figures.stamp_lines(stamp))}\n")
+
+
+def _object_names(current: bpy.types.Scene, asked: list[str]) -> list[str]:
+    """The objects to bake, each once, in the order asked for."""
+    if not asked:
+        return [obj.name for obj in scene.default_objects(bpy.context)]
+    for name in asked:
+        if name not in current.objects:
+            near = difflib.get_close_matches(name, current.objects.keys(), n=3)
+            hint = f": did you mean {' or '.join(map(repr, near))}" if near else ""
+            raise BakeError(f"Scene {current.name!r} has no object {name!r}{hint}")
+    return list(dict.fromkeys(asked))
+
+
+def _settings(current: bpy.types.Scene, asked: Options) -> Settings:
+    """The artist's settings in the .blend, with what the options say instead."""
+    given = {name: getattr(asked, name) for name in ("order", "rays", "seed", "threads")}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    return replace(properties.settings(current, asked.verify), **chosen)
+
+
+def _finish(steps: Generator[Progress, None, Report]) -> Report:
+    """Run ``steps`` to their end, showing how far they are; their report."""
+    lines = ProgressLines(sys.stderr)
+    with closing(steps), closing(lines):
+        while True:
+            try:
+                lines.show(next(steps))
+            except StopIteration as end:
+                return end.value
+
+
+def _write(asked: Options, names: list[str], report: Report) -> None:
+    with outputs.staged(asked.outputs) as places:
+        if asked.save:
+            _save(asked.save, places[asked.save])
+        if asked.gltf:
+            gltf_export.write(str(places[asked.gltf]), names)
+        if asked.report:
+            text = json.dumps(report, indent=2, ensure_ascii=False)
+            places[asked.report].write_text(f"{text}\n", encoding="utf-8")
+
+
+def _save(path: Path, place: Path) -> None:
+    """Write the scene to ``place``, whose folder is that of ``path``: relative paths hold."""
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=str(place), copy=True, relative_remap=True)
+    except RuntimeError as error:
+        raise BakeError(f"{path} cannot be written: {_reason(error)}") from error
+
+
+def _reason(error: RuntimeError) -> str:
+    """What Blender's operator says, as the end of a sentence."""
+    return str(error).strip().splitlines()[-1].removeprefix("Error: ").rstrip(".")

@@ -1,0 +1,148 @@
+"""The options of the command line, the same in Blender and in ``prt-bake``.  Needs no Blender."""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+from .prt.errors import BakeError
+
+LATER = "not available yet: leave it out"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What was asked for; None where the .blend's own setting holds.
+
+    ``blend`` is None inside Blender, which has opened the file itself.
+    """
+
+    blend: Path | None
+    objects: list[str]
+    order: int | None
+    rays: int | None
+    seed: int | None
+    threads: int | None
+    world: str | None
+    save: Path | None
+    gltf: Path | None
+    report: Path | None
+    verify: bool
+
+    @property
+    def outputs(self) -> list[Path]:
+        """The files to write."""
+        return [path for path in (self.save, self.gltf, self.report) if path is not None]
+
+
+def parse(program: str, arguments: list[str], with_blend: bool) -> Options:
+    """Read ``arguments``; BakeError says what is wrong with them."""
+    found = _parser(program, with_blend).parse_args(arguments)
+    _refuse_later(found)
+    for option, suffix in (("save", ".blend"), ("gltf", ".glb"), ("report", ".json")):
+        path = getattr(found, option)
+        if path is not None and path.suffix.lower() != suffix:
+            raise BakeError(f"--{option} writes {suffix}: {path} needs that ending")
+    return Options(
+        blend=found.blend if with_blend else None,
+        **{name: getattr(found, name) for name in Options.__dataclass_fields__ if name != "blend"},
+    )
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that says what is wrong in one sentence, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        raise BakeError(f"{message} (--help lists the options)")
+
+
+def _parser(program: str, with_blend: bool) -> _Parser:
+    parser = _Parser(
+        prog=program,
+        description="Bake shadowed light that follows the HDRI into the meshes of a .blend.",
+        epilog="Exit codes: 0 done, 1 a fault of the baker, 2 something you can mend, "
+        "130 interrupted.",
+        allow_abbrev=False,
+    )
+    if with_blend:
+        parser.add_argument("blend", type=Path, metavar="SCENE.blend", help="what to bake")
+    _add_what(parser)
+    _add_how(parser)
+    _add_where(parser)
+    return parser
+
+
+def _add_what(parser: _Parser) -> None:
+    parser.add_argument(
+        "--object",
+        action="append",
+        default=[],
+        dest="objects",
+        metavar="NAME",
+        help="what to bake, again for more; default: what is selected, else every visible mesh",
+    )
+    parser.add_argument("--world", metavar="FILE.exr|.hdr", help="another HDRI than the scene's")
+
+
+def _add_how(parser: _Parser) -> None:
+    add = parser.add_argument
+    add("--carrier", choices=("vertex", "texture", "auto"), default="vertex", help="where to")
+    add("--resolution", type=_whole(16, 16384), metavar="N", help="texels a side of a texture")
+    add("--texel-density", type=_positive, metavar="D", help="texels a metre of a texture")
+    add("--order", type=_whole(2, 5), metavar="N", help="bands of the light, 2 to 5")
+    add("--bounces", type=_whole(0, 16), default=0, metavar="K", help="0: shadows only")
+    add("--no-residual", action="store_true", help="leave the baked light's exact part out")
+    add("--peaks", type=_whole(0, 4), default=0, metavar="N", help="suns to cut out of the HDRI")
+    effort = parser.add_mutually_exclusive_group()
+    effort.add_argument("--rays", type=_whole(16, 65536), metavar="N", help="rays a point")
+    effort.add_argument("--tolerance", type=_positive, metavar="E", help="rays until this error")
+    add("--seed", type=_whole(0, 2**31 - 1), metavar="N", help="same seed, same result")
+    add("--threads", type=_whole(0, 1024), metavar="N", help="0: every core")
+
+
+def _add_where(parser: _Parser) -> None:
+    add = parser.add_argument
+    add("--save", type=Path, metavar="OUT.blend", help="write the baked scene")
+    add("--gltf", type=Path, metavar="OUT.glb", help="write the baked scene as glTF")
+    add("--report", type=Path, metavar="OUT.json", help="write the figures of the bake")
+    add("--verify", action="store_true", help="trace some points again and print the error")
+
+
+def _refuse_later(found: argparse.Namespace) -> None:
+    """Refuse what this version cannot do."""
+    asked = {
+        f"--carrier {found.carrier}": found.carrier != "vertex",
+        "--resolution": found.resolution is not None,
+        "--texel-density": found.texel_density is not None,
+        f"--bounces {found.bounces}": found.bounces > 0,
+        f"--peaks {found.peaks}": found.peaks > 0,
+        "--tolerance": found.tolerance is not None,
+    }
+    for option, wanted in asked.items():
+        if wanted:
+            raise BakeError(f"{option} is {LATER}")
+
+
+def _whole(smallest: int, largest: int) -> Callable[[str], int]:
+    def number(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = smallest - 1
+        if not smallest <= value <= largest:
+            message = f"{text!r} is no whole number from {smallest} to {largest}"
+            raise argparse.ArgumentTypeError(message)
+        return value
+
+    return number
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is no positive number")
+    return value

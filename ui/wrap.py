@@ -1,0 +1,20 @@
+"""Sentences that are longer than a sidebar is wide."""
+
+import textwrap
+
+import bpy
+
+CHARACTER = 7.0  # pixels that a letter takes, about, at 72 dpi and a scale of 1
+
+
+def box(layout: bpy.types.UILayout, context: bpy.types.Context, icon: str, sentence: str) -> None:
+    """``sentence`` in a box, in as many lines as it needs."""
+    column = layout.box().column(align=True)
+    for number, line in enumerate(textwrap.wrap(sentence, letters(context))):
+        column.label(text=line, icon=icon if number == 0 else "BLANK1")
+
+
+def letters(context: bpy.types.Context) -> int:
+    """How many letters fit beside an icon."""
+    width = context.region.width / context.preferences.system.ui_scale
+    return max(12, int((width - 70) / CHARACTER))
