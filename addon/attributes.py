@@ -1,0 +1,91 @@
+"""Baked values as colour attributes of a mesh, four float32 each.
+
+Nothing of the artist's changes with them: neither which attribute is active, nor which colour is
+shown or rendered.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import bpy
+import numpy as np
+import numpy.typing as npt
+
+from . import carrier_nodes
+from .prt import layout as layouts
+from .prt.errors import BakeError
+from .prt.layout import PREFIX, Layout
+from .stamp import Stamp
+
+Values = npt.NDArray[np.float32]
+Stored = dict[str, tuple[str, Values]]
+
+
+def names(mesh: bpy.types.Mesh) -> list[str]:
+    """The baked attributes of ``mesh``."""
+    return [attribute.name for attribute in mesh.attributes if attribute.name.startswith(PREFIX)]
+
+
+def write(mesh: bpy.types.Mesh, layout: Layout, domain: str, values: Values) -> None:
+    """Give ``mesh`` the values (E, 4 k) of ``layout``, instead of what was baked before."""
+    put(mesh, split(layout, domain, values))
+
+
+def split(layout: Layout, domain: str, values: Values) -> Stored:
+    """The values (E, 4 k) of ``layout``, as ``put`` takes them."""
+    columns = values.reshape(len(values), -1, 4)
+    return {name: (domain, columns[:, k]) for k, name in enumerate(layout.attributes)}
+
+
+def put(mesh: bpy.types.Mesh, stored: Stored) -> None:
+    """Make ``stored``, name to domain and values (E, 4), the baked attributes of ``mesh``."""
+    with _kept_active(mesh):
+        for name in names(mesh):
+            mesh.attributes.remove(mesh.attributes[name])
+        for name, (domain, values) in stored.items():
+            attribute = mesh.attributes.new(name, "FLOAT_COLOR", domain)
+            attribute.data.foreach_set("color", np.ascontiguousarray(values, np.float32).ravel())
+    mesh.update_tag()
+
+
+def take(mesh: bpy.types.Mesh) -> Stored:
+    """A copy of the baked attributes of ``mesh``, as ``put`` takes them."""
+    return {name: (mesh.attributes[name].domain, _values(mesh, name)) for name in names(mesh)}
+
+
+def remove(mesh: bpy.types.Mesh) -> None:
+    """Take every baked attribute away."""
+    if names(mesh):
+        put(mesh, {})
+
+
+def read(obj: bpy.types.Object, stamp: Stamp) -> Values:
+    """Baked transfer (E, channels, n²) of every vertex or corner that was baked."""
+    holder = carrier_nodes.carrier_of(obj) if stamp.by_modifier else obj
+    layout = stamp.packing
+    if holder is None or not set(layout.attributes) <= set(names(holder.data)):
+        raise BakeError(f"The baked attributes of {obj.name!r} are gone: bake it again")
+    columns = [_values(holder.data, name) for name in layout.attributes]
+    return layouts.unpack(layout, np.concatenate(columns, axis=1))
+
+
+def _values(mesh: bpy.types.Mesh, name: str) -> Values:
+    """Values (E, 4) of one colour attribute."""
+    data = mesh.attributes[name].data
+    values = np.empty(len(data) * 4, np.float32)
+    data.foreach_get("color", values)
+    return values.reshape(-1, 4)
+
+
+@contextmanager
+def _kept_active(mesh: bpy.types.Mesh) -> Iterator[None]:
+    """Adding and removing attributes inside leaves the active ones as they are, by name."""
+    attributes = mesh.attributes
+    active = attributes.active.name if attributes.active else ""
+    colours = [attributes.active_color_name or "", attributes.default_color_name or ""]
+    shown, rendered = ("" if name.startswith(PREFIX) else name for name in colours)
+    yield
+    attributes.active_color_name = shown
+    attributes.default_color_name = rendered
+    if active in attributes:
+        attributes.active = attributes[active]

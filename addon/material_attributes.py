@@ -1,0 +1,73 @@
+"""How many vertex attributes EEVEE reads for an artist's material: the bake must fit beside them.
+
+Each distinct one counts once.  The active UV map counts apart from a UV map read by name, even
+where both are the same map.
+"""
+
+from collections.abc import Iterator
+
+import bpy
+
+from . import material_plan
+from .material_plan import SHADING, TAG
+
+Attribute = tuple[str, str]  # what kind, which one
+UV: Attribute = ("uv", "")
+GENERATED: Attribute = ("generated", "")
+IMAGES = ("ShaderNodeTexImage",)
+PROCEDURAL = (
+    "ShaderNodeTexNoise",
+    "ShaderNodeTexVoronoi",
+    "ShaderNodeTexWave",
+    "ShaderNodeTexMagic",
+    "ShaderNodeTexChecker",
+    "ShaderNodeTexBrick",
+    "ShaderNodeTexGradient",
+    "ShaderNodeTexGabor",
+)
+
+
+def of(material: bpy.types.Material) -> set[Attribute]:
+    """What the artist's own shader in ``material`` reads, ours left out."""
+    tree = material.node_tree
+    output = material_plan.artist_output(tree) if tree else None
+    return set(_behind(output, set())) if output is not None else set()
+
+
+def _behind(node: bpy.types.Node, seen: set[bpy.types.Node]) -> Iterator[Attribute]:
+    """The attributes of ``node`` and of every node that leads to it."""
+    if node in seen or node.get(TAG) == SHADING:
+        return
+    seen.add(node)
+    yield from _read_by(node)
+    if node.type == "GROUP" and node.node_tree is not None:
+        for inner in node.node_tree.nodes:
+            if inner.type == "GROUP_OUTPUT" and inner.is_active_output:
+                yield from _behind(inner, seen)
+    for socket in node.inputs:
+        for link in socket.links:
+            yield from _behind(link.from_node, seen)
+
+
+def _read_by(node: bpy.types.Node) -> Iterator[Attribute]:
+    """The attributes that ``node`` reads itself."""
+    kind = node.bl_idname
+    if kind in IMAGES and not node.inputs["Vector"].is_linked:
+        yield UV
+    elif kind in PROCEDURAL and not node.inputs["Vector"].is_linked:
+        yield GENERATED
+    elif kind == "ShaderNodeTexCoord":
+        read = {"UV": UV, "Generated": GENERATED}
+        yield from (read[s.name] for s in node.outputs if s.is_linked and s.name in read)
+    elif kind == "ShaderNodeUVMap":
+        yield "uv", node.uv_map
+    elif kind == "ShaderNodeAttribute" and node.attribute_type == "GEOMETRY":
+        yield "named", node.attribute_name
+    elif kind == "ShaderNodeVertexColor":
+        yield "colour", node.layer_name
+    elif kind == "ShaderNodeNormalMap" and node.space == "TANGENT":
+        yield "tangent", node.uv_map
+    elif kind == "ShaderNodeTangent":
+        yield GENERATED if node.direction_type == "RADIAL" else ("tangent", node.uv_map)
+    elif kind == "ShaderNodeVectorDisplacement" and node.space == "TANGENT":
+        yield "tangent", ""
