@@ -90,7 +90,9 @@ def _is_copy(color: Any, ours: Any) -> bool:
         return False
     values = _values(ours)
     if color.component_type == UNSIGNED_SHORT:
-        expected = (np.clip(values, 0, 1) * np.float32(65535) + np.float32(0.5)).astype(np.uint16)
+        with np.errstate(invalid="ignore"):
+            scaled = np.clip(values, 0, 1) * np.float32(65535) + np.float32(0.5)
+            expected = scaled.astype(np.uint16)
     else:
         expected = values[:, :3]
     return bool(color.buffer_view.data == expected.tobytes())

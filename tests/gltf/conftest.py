@@ -1,0 +1,63 @@
+"""An empty file, and objects baked by hand in it: made-up transfer, so that a mistake shows."""
+
+import bpy
+import numpy as np
+import pytest
+from prt_baker.addon import attributes, carrier, light_state, stamp
+from prt_baker.addon.prt.layout import Layout, pack
+
+
+@pytest.fixture
+def scene():
+    """The scene of an empty file, with a light."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    rng = np.random.default_rng(5)
+    now, baked = rng.normal(size=(2, 25, 3))
+    light_state.write(bpy.context.scene, light_state.LightState("key", baked, now, baked))
+    return bpy.context.scene
+
+
+@pytest.fixture
+def bake(scene):
+    """Bakes made-up values; returns the transfer (E, channels, n²) of the object's elements."""
+    return bake_by_hand
+
+
+def bake_by_hand(obj, *, order=3, channels=1, residual=False, domain="POINT", by_modifier=False):
+    """Random transfer on ``obj``, stamped as if it had just been baked."""
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    layout = Layout(order, channels, residual)
+    with carrier.evaluated_mesh(obj, depsgraph) as mesh:
+        count = len(mesh.vertices if domain == "POINT" else mesh.loops)
+    rng = np.random.default_rng(count + order)
+    transfer = rng.normal(size=(count, channels, order**2)).astype(np.float32)
+    values = pack(layout, transfer)
+    values[:, layout.transfer_slots :] = 7
+    if by_modifier:
+        carrier.connect(obj, carrier.make(obj, depsgraph, layout, domain, values))
+    else:
+        attributes.write(obj.data, layout, domain, values)
+    stamp.write(obj, make_stamp(obj, layout, domain, by_modifier))
+    bpy.context.view_layer.update()
+    return transfer
+
+
+def make_stamp(obj, layout, domain, by_modifier):
+    """What a bake of ``obj`` as it stands would say."""
+    world = np.array(obj.matrix_world)
+    return stamp.Stamp(
+        order=layout.order,
+        channels=layout.channels,
+        layout=layout.slots,
+        carrier="vertex",
+        domain=domain,
+        by_modifier=by_modifier,
+        job_hash="",
+        mesh_signature="",
+        matrix=tuple(world[:3, :3].ravel(order="F").tolist()),
+        location=tuple(world[:3, 3].tolist()),
+        points=0,
+        rays=0,
+        mrays_per_second=0.0,
+    )

@@ -1,0 +1,82 @@
+"""A reader of .glb files, for tests: no code shared with what writes them."""
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+
+DTYPES = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+class Glb:
+    """One file: its document, its nodes by name, its arrays."""
+
+    def __init__(self, path: Path):
+        data = path.read_bytes()
+        (length,) = struct.unpack_from("<I", data, 12)
+        self.document = json.loads(data[20 : 20 + length])
+        self.binary = data[28 + length :]
+        self.nodes = {node["name"]: node for node in self.document["nodes"]}
+
+    def array(self, index):
+        """Accessor ``index`` as (count, width)."""
+        accessor = self.document["accessors"][index]
+        view = self.document["bufferViews"][accessor["bufferView"]]
+        offset = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        width, dtype = WIDTHS[accessor["type"]], DTYPES[accessor["componentType"]]
+        count = accessor["count"] * width
+        return np.frombuffer(self.binary, dtype, count, offset).reshape(-1, width)
+
+    def mesh(self, name):
+        """The mesh of the node ``name``."""
+        return self.document["meshes"][self.nodes[name]["mesh"]]
+
+    def prt(self, name):
+        """What the mesh of the node ``name`` says of its bake, None without one."""
+        return self.mesh(name).get("extras", {}).get("prt")
+
+    def attributes(self, name):
+        """The attributes of every primitive of the node ``name``, as arrays."""
+        primitives = self.mesh(name)["primitives"]
+        return [{k: self.array(a) for k, a in p["attributes"].items()} for p in primitives]
+
+    def transfer(self, name):
+        """Transfer (E, channels, n²) of the node ``name``, its primitives one after the other."""
+        prt = self.prt(name)
+        rows = [
+            np.concatenate([a[f"_PRT_{k}"] for k in range(len(prt["layout"]) // 4)], axis=1)
+            for a in self.attributes(name)
+        ]
+        values = np.concatenate(rows)
+        columns = [
+            [prt["layout"].index(f"T{i}{c}") for i in range(prt["order"] ** 2)]
+            for c in (["r", "g", "b"] if prt["channels"] == 3 else [""])
+        ]
+        return values[:, columns]
+
+    def world(self, name):
+        """The world 3x3 of the node ``name``."""
+        return self._world(self.document["nodes"].index(self.nodes[name]))
+
+    def worlds_of_mesh(self, mesh):
+        """The world 3x3 of every node that shows ``mesh``."""
+        nodes = self.document["nodes"]
+        return [self._world(i) for i, node in enumerate(nodes) if node.get("mesh") == mesh]
+
+    def _world(self, index):
+        matrix = local(self.document["nodes"][index])
+        for parent, node in enumerate(self.document["nodes"]):
+            if index in node.get("children", []):
+                return self._world(parent) @ matrix
+        return matrix
+
+
+def local(node):
+    """The 3x3 of one node."""
+    assert "matrix" not in node
+    vector, w = np.array(node.get("rotation", [0, 0, 0, 1]))[:3], node.get("rotation", [1])[-1]
+    cross = np.cross(vector, np.eye(3)).T
+    rotation = np.eye(3) + 2 * (w * cross + cross @ cross)
+    return rotation @ np.diag(node.get("scale", [1, 1, 1]))
