@@ -1,0 +1,125 @@
+"""Pictures of light on disk: .exr and .hdr.  The only module that imports OpenEXR.
+
+Pixels are linear Rec.709 radiance, (H, W, 3) float32, top row first.  As in Blender, an .exr's data
+window is the picture, whatever its display window.
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import rgbe
+from .errors import BakeError
+
+Pixels = npt.NDArray[np.float32]
+MAX_PIXELS = 1 << 29  # 32768 x 16384; a header that claims more is damaged
+EXR_MAGIC = b"\x76\x2f\x31\x01"
+HDR_MAGIC = b"#?"
+# How C++'s exceptions arrive, and text that is not UTF-8
+EXR_ERRORS = (RuntimeError, ValueError, TypeError, LookupError, ArithmeticError, MemoryError)
+
+
+def read(path: str) -> Pixels:
+    """The pixels (H, W, 3) of an .exr or .hdr file, known by its content and not by its name.
+
+    BakeError, naming the file, for everything that is not one whole picture.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            magic = file.read(4)
+            if magic[:2] == HDR_MAGIC:
+                return _read_hdr(path, magic + file.read())
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise BakeError(f"The picture {path} cannot be read: {reason}") from error
+    if not magic:
+        raise BakeError(f"The picture {path} is empty")
+    if magic != EXR_MAGIC:
+        raise BakeError(f"The picture {path} is neither OpenEXR nor Radiance HDR")
+    return _read_exr(path)
+
+
+def write_exr(path: str, pixels: npt.ArrayLike, metadata: Mapping[str, str] | None = None) -> None:
+    """Write pixels (H, W, 3) as float32 R, G, B, with ``metadata`` as attributes in the header."""
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    channels = {"RGB": np.ascontiguousarray(pixels, np.float32)}
+    try:
+        OpenEXR.File(header | dict(metadata or {}), channels).write(path)
+    except EXR_ERRORS as error:
+        raise BakeError(f"The picture {path} cannot be written") from error
+
+
+def _read_hdr(path: str, data: bytes) -> Pixels:
+    try:
+        return rgbe.decode(data, MAX_PIXELS)
+    except rgbe.RgbeError as error:
+        raise BakeError(f"The picture {path} {error}") from error
+
+
+def _read_exr(path: str) -> Pixels:
+    """Header first, so that a bogus size is refused before memory is taken for it."""
+    import OpenEXR
+
+    try:
+        parts = OpenEXR.File(path, header_only=True).parts
+        part, names = _colour_channels(path, [part.header for part in parts])
+        shape = _shape(path, parts[part].header)
+        read_parts = OpenEXR.File(path, separate_channels=True).parts
+        # parts that could not be decoded are left out without an exception
+        if len(read_parts) != len(parts):
+            raise BakeError(f"The picture {path} is damaged or cut off")
+        channels = [read_parts[part].channels[name].pixels for name in names]
+    except EXR_ERRORS as error:
+        raise BakeError(f"The picture {path} is damaged or cut off") from error
+    if any(channel.shape != shape for channel in channels):
+        raise BakeError(f"The picture {path} has colours of different sizes: save it as plain RGB")
+    return np.stack(channels, axis=-1).astype(np.float32, copy=False)
+
+
+def _shape(path: str, header: Mapping[str, Any]) -> tuple[int, int]:
+    """Height and width of the data window."""
+    low, high = (corner.astype(np.int64) for corner in header["dataWindow"])
+    width, height = (int(size) for size in high - low + 1)
+    if width <= 0 or height <= 0 or width * height > MAX_PIXELS:
+        raise BakeError(f"The picture {path} claims to have {width} x {height} pixels")
+    return height, width
+
+
+def _colour_channels(
+    path: str, headers: list[Mapping[str, Any]]
+) -> tuple[int, tuple[str, str, str]]:
+    """The part to read and its channels of red, green and blue.
+
+    Colour before grey; then channels without a layer, a layer Combined (Blender's), the first.
+    """
+    found = [
+        (grey, _rank(layer), part, names)
+        for part, header in enumerate(headers)
+        for grey, layer, names in _candidates([channel.name for channel in header["channels"]])
+        if not str(header["type"]).startswith("Storage.deep")
+    ]
+    if not found:
+        raise BakeError(f"The picture {path} has no channels R, G and B, nor Y alone, to read")
+    _, _, part, names = min(found)
+    return part, names
+
+
+def _candidates(names: list[str]) -> Iterator[tuple[bool, str, tuple[str, str, str]]]:
+    """Whether grey, layer, and the three channels, for every layer that has colour or grey."""
+    for layer in dict.fromkeys(name.rpartition(".")[0] for name in names):
+        prefix = f"{layer}." if layer else ""
+        if all(prefix + colour in names for colour in "RGB"):
+            yield False, layer, (prefix + "R", prefix + "G", prefix + "B")
+        elif prefix + "Y" in names and prefix + "RY" not in names:
+            yield True, layer, (prefix + "Y",) * 3
+
+
+def _rank(layer: str) -> int:
+    if not layer:
+        return 0
+    return 1 if layer.rpartition(".")[2] == "Combined" else 2
