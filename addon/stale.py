@@ -1,0 +1,75 @@
+"""A bake that no longer fits its object is switched off, and on again when it fits.
+
+An object is compared with the stamp of its bake: its place in the world and its own mesh, not its
+modifiers, shape keys or pose.
+"""
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from . import scene as scene_arrays
+from . import stamp as stamps
+from .stamp import Stamp
+
+TOLERANCE = 1e-5  # of the matrix, and of a metre; parents and constraints jitter by float32
+
+
+def reason(obj: bpy.types.Object, stamp: Stamp) -> str | None:
+    """Why the bake of ``obj`` is not shown, one sentence; None where it is.  Looks at no vertex."""
+    if _moved(obj, stamp):
+        return f"{obj.name} has been moved, turned or scaled since its bake: bake it again"
+    if not obj.get(stamps.SWITCH):
+        return f"The mesh of {obj.name} has been edited since its bake: bake it again"
+    return None
+
+
+def refresh(scene: bpy.types.Scene) -> None:
+    """Switch every bake of ``scene`` on or off, by what its object is now."""
+    for obj in stamps.baked_objects(scene):
+        _refresh(obj)
+
+
+def _refresh(obj: bpy.types.Object) -> None:
+    stamp = stamps.read(obj)
+    if stamp is None or obj.data.is_editmode:
+        return
+    stamps.switch(obj, on=not _moved(obj, stamp) and _same_mesh(obj, stamp))
+
+
+def _moved(obj: bpy.types.Object, stamp: Stamp) -> bool:
+    matrix = np.array(obj.matrix_world)
+    turn, baked_turn = matrix[:3, :3].T.ravel(), np.array(stamp.matrix)
+    place, baked_place = matrix[:3, 3], np.array(stamp.location)
+    turned = np.abs(turn - baked_turn).max() > TOLERANCE * np.abs(baked_turn).max()
+    return bool(turned or np.abs(place - baked_place).max() > TOLERANCE * _reach(baked_place))
+
+
+def _reach(place: np.ndarray) -> float:
+    return float(max(1.0, np.abs(place).max()))
+
+
+def _same_mesh(obj: bpy.types.Object, stamp: Stamp) -> bool:
+    return scene_arrays.mesh_signature(obj) == stamp.mesh_signature
+
+
+@persistent
+def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    if not depsgraph.id_type_updated("OBJECT"):
+        return
+    for update in depsgraph.updates:
+        if not (update.is_updated_transform or update.is_updated_geometry):
+            continue
+        obj = update.id.original
+        if isinstance(obj, bpy.types.Object) and stamps.KEY in obj:
+            _refresh(obj)
+
+
+def register() -> None:
+    """Watch the baked objects."""
+    bpy.app.handlers.depsgraph_update_post.append(_on_update)
+
+
+def unregister() -> None:
+    """Watch them no more."""
+    bpy.app.handlers.depsgraph_update_post.remove(_on_update)
