@@ -61,7 +61,7 @@ def bake(
     return results.report
 
 
-def verify(scene_name: str, object_names: Sequence[str], settings: jobs.Settings) -> Steps:
+def verify(object_names: Sequence[str], settings: jobs.Settings) -> Steps:
     """Trace points of baked objects again and stamp the measured errors."""
     objects = _objects(object_names)
     scene.check_objects(objects)
@@ -71,7 +71,7 @@ def verify(scene_name: str, object_names: Sequence[str], settings: jobs.Settings
         raise BakeError("The objects were baked with different orders: verify one order at a time")
     with engine.job_folder() as folder:
         yield jobs.Progress("scene", 0.0)
-        job = _verify_job(scene_name, object_names, replace(settings, order=order))
+        job = _verify_job(object_names, replace(settings, order=order))
         results = yield from engine.run(job, folder)
     for obj, entry in zip(_objects(object_names), results.report["objects"], strict=True):
         error = entry["measured_error"]["on_surface"]
@@ -130,9 +130,7 @@ def _read(
     return job, light
 
 
-def _verify_job(
-    scene_name: str, object_names: Sequence[str], settings: jobs.Settings
-) -> jobs.Job:
+def _verify_job(object_names: Sequence[str], settings: jobs.Settings) -> jobs.Job:
     depsgraph = bpy.context.evaluated_depsgraph_get()
     vertices, triangles, repairs = scene.read_occluders(depsgraph)
     objects = _objects(object_names)

@@ -26,16 +26,16 @@ BOOT = (
     "runpy.run_module('prt', run_name='__main__', alter_sys=True)"
 )
 NATIVE_PACKAGES = ("embreex", "OpenEXR")
-ONE_BLAS_THREAD = {
-    name: "1"
-    for name in (
+ONE_BLAS_THREAD = dict.fromkeys(
+    (
         "OPENBLAS_NUM_THREADS",
         "OMP_NUM_THREADS",
         "MKL_NUM_THREADS",
         "VECLIB_MAXIMUM_THREADS",
         "BLIS_NUM_THREADS",
-    )
-}
+    ),
+    "1",
+)
 POLL_SECONDS = 0.02
 
 

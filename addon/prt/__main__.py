@@ -32,7 +32,7 @@ def main(folder: Path) -> int:
             return _say(progress, 2, error=sentence)
         except OSError as error:
             return _say(progress, 2, error=f"The job folder cannot be used: {error}")
-        except Exception:
+        except Exception:  # noqa: BLE001 - the parent shows its traceback
             return _say(progress, 1, fault=traceback.format_exc())
     return 0
 

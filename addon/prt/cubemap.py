@@ -44,7 +44,7 @@ def is_cubemap(height: int, width: int) -> bool:
 
 
 def to_faces(pixels: Pixels) -> Pixels:
-    """The faces (6, N, N, 3) of a picture (H, W, 3) in one of the layouts; ValueError if in none."""
+    """The faces (6, N, N, 3) of a picture (H, W, 3) in a layout above; ValueError if in none."""
     layout = _layout(*pixels.shape[:2])
     if layout is None:
         raise ValueError(f"{pixels.shape[1]} x {pixels.shape[0]} is no layout of a cubemap")
@@ -61,7 +61,7 @@ def to_faces(pixels: Pixels) -> Pixels:
 def directions(face: int, size: int) -> Float:
     """Unit directions (N, N, 3) of the centres of a face's texels, Blender's axes."""
     centre = (2 * np.arange(size) + 1) / size - 1
-    return _normalised(centre[:, None], centre) @ FRAMES[face].T
+    return np.asarray(_normalised(centre[:, None], centre) @ FRAMES[face].T)
 
 
 def solid_angles(size: int, rows: slice = slice(None)) -> Float:

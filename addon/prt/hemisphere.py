@@ -100,7 +100,7 @@ class SetInWorld:
     point p, ray by ray as Embree reads them.
     """
 
-    def __init__(self, directions: Array):
+    def __init__(self, directions: Array) -> None:
         self.count = len(directions)
         arranged = np.zeros((3, 3, self.count, 3), np.float32)
         for c in range(3):
@@ -116,7 +116,7 @@ class Turn:
     """Turns local coefficients to world axes: Dz(phi) J' Dz(theta) J Dz(azimuth), in which J, the
     quarter turn about x, is a constant."""
 
-    def __init__(self, order: int):
+    def __init__(self, order: int) -> None:
         quarter = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
         self._order = order
         self._quarter = sh.rotation_matrix(quarter, order).astype(np.float32)

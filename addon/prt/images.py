@@ -101,7 +101,7 @@ def _colour_channels(
         (grey, _rank(layer), part, names)
         for part, header in enumerate(headers)
         for grey, layer, names in _candidates([channel.name for channel in header["channels"]])
-        if not str(header["type"]).startswith("Storage.deep")
+        if "deep" not in str(header.get("type"))
     ]
     if not found:
         raise BakeError(f"The picture {path} has no channels R, G and B, nor Y alone, to read")

@@ -147,8 +147,8 @@ def content_hash(job: Job) -> str:
     """Names the result: equal jobs give equal bits, whatever ``threads`` is."""
     digest = hashlib.blake2b(digest_size=16)
     settings = {k: v for k, v in asdict(job.settings).items() if k != "threads"}
-    header = [VERSION, job.kind, settings, _light_header(job.light)]
-    header.append([(r.name, r.domain) for r in job.receivers])
+    receivers = [(r.name, r.domain) for r in job.receivers]
+    header = (VERSION, job.kind, settings, _light_header(job.light), receivers)
     digest.update(json.dumps(header, sort_keys=True).encode())
     for name, array in _arrays(job, None):
         digest.update(f"{name} {array.shape} {array.dtype}".encode())

@@ -56,7 +56,7 @@ def _azimuths(width: int) -> Float:
 
 
 def _fourier_integrals(width: int, order: int) -> Float:
-    """Integrals (W, 2 n - 1) over a texel's azimuths of sin(|m| phi), 1 and cos(m phi), m rising."""
+    """Integrals (W, 2 n - 1) over texels' azimuths of sin(|m| phi), 1 and cos(m phi), m rising."""
     phi, step = _azimuths(width), 2 * pi / width
     integrals = np.full((width, 2 * order - 1), step)
     for m in range(1, order):

@@ -45,6 +45,7 @@ class Surface:
 
     @classmethod
     def of(cls, receiver: Receiver) -> "Surface":
+        """The surface of ``receiver``."""
         corners = receiver.vertices.astype(np.float64)[receiver.triangles]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         double_area = np.linalg.norm(cross, axis=1)

@@ -27,14 +27,16 @@ class Occlusion(Protocol):
 class Sky:
     """Nothing is hit."""
 
-    def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:
+    def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:  # noqa: ARG002 - no shape
+        """CLEAR for every ray."""
         return np.full(len(directions), CLEAR, np.int32)
 
 
 class Lid:
     """Everything is hit."""
 
-    def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:
+    def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:  # noqa: ARG002 - no shape
+        """BLOCKED for every ray."""
         return np.full(len(directions), BLOCKED, np.int32)
 
 
@@ -56,7 +58,9 @@ class Triangles:
     two triangles of a closed mesh.
     """
 
-    def __init__(self, vertices: npt.ArrayLike, triangles: npt.ArrayLike, robust: bool = True):
+    def __init__(
+        self, vertices: npt.ArrayLike, triangles: npt.ArrayLike, robust: bool = True
+    ) -> None:
         from embreex import rtcore_scene
         from embreex.mesh_construction import TriangleMesh
 
@@ -78,6 +82,7 @@ class Triangles:
             )
 
     def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:
+        """What Embree's occlusion query finds; releases the interpreter's lock."""
         mask: Mask = self._scene.run(origins, directions, query="OCCLUDED")
         return mask
 

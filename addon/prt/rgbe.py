@@ -112,10 +112,7 @@ def _to_float(rows: Bytes, planar: npt.NDArray[np.bool_]) -> Float32:
     height, width = len(rows), rows.shape[1] // 4
     pixels = np.empty((height, width, 3), np.float32)
     for y in range(height):
-        if planar[y]:
-            channels = rows[y].reshape(4, width).T
-        else:
-            channels = rows[y].reshape(width, 4)
+        channels = rows[y].reshape(4, width).T if planar[y] else rows[y].reshape(width, 4)
         pixels[y] = np.ldexp(channels[:, :3].astype(np.float32), channels[:, 3:].astype(int) - 136)
         pixels[y, channels[:, 3] == 0] = 0
     return pixels

@@ -4,157 +4,140 @@ import platform
 import sys
 import time
 from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from . import VERSION, light
-from .job import Job, Progress, Receiver, ReceiverResult, Results, content_hash
+from .job import Job, Progress, ReceiverResult, Results, Settings, content_hash
 from .points import Points, distinct_points
 from .rays import Occlusion, occlusion
 from .transfer import estimate_error, trace_all
-from .verify import Measured, measure
+from .verify import measure
+
+Value = TypeVar("Value")
+
+
+Entry = dict[str, Any]
 
 
 @dataclass
-class _Clock:
-    """Seconds since the start, and by phase."""
+class _Meter:
+    """Rays and seconds of a run: known, spent, and spent by phase."""
 
     start: float = field(default_factory=time.perf_counter)
-    phases: dict[str, float] = field(default_factory=dict)
-
-    def lap(self, phase: str, since: float) -> None:
-        self.phases[phase] = self.phases.get(phase, 0.0) + time.perf_counter() - since
+    rays_expected: int = 0
+    rays: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
 
     @property
-    def now(self) -> float:
+    def elapsed(self) -> float:
         return time.perf_counter() - self.start
 
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Count the seconds inside as ``name``'s."""
+        since = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - since
 
-@dataclass
-class _Work:
-    """Rays of the whole run, known and cast, for the progress bar."""
+    def follow(
+        self, phase: str, steps: Generator[int, None, Value]
+    ) -> Generator[Progress, None, Value]:
+        """Progress of ``steps``, which yield the rays that they have cast; their value."""
+        before = self.rays
+        while True:
+            try:
+                self.rays = before + next(steps)
+            except StopIteration as stop:
+                return cast(Value, stop.value)
+            yield self.progress(phase)
 
-    total: int
-    before: int = 0
-    cast: int = 0
-
-    def progress(self, phase: str, clock: _Clock) -> Progress:
-        rays = self.before + self.cast
-        return Progress(phase, min(1.0, rays / max(1, self.total)), rays, clock.now)
-
-    def follow(self, phase: str, steps: Iterator[int], clock: _Clock) -> Iterator[Progress]:
-        for self.cast in steps:
-            yield self.progress(phase, clock)
-        self.before += self.cast
-        self.cast = 0
+    def progress(self, phase: str) -> Progress:
+        fraction = min(1.0, self.rays / max(1, self.rays_expected))
+        return Progress(phase, fraction, self.rays, self.elapsed)
 
 
 def run(job: Job) -> Generator[Progress, None, Results]:
     """Do ``job``; its results are the generator's value.  ``close()`` cancels it."""
-    clock = _Clock()
+    meter = _Meter()
     report: dict[str, Any] = {"job_hash": content_hash(job), "objects": []}
     image_sh = None
-    yield Progress("light", 0.0)
+    yield meter.progress("light")
     if job.light is not None:
-        projected = light.project(job.light)
+        with meter.phase("light"):
+            projected = light.project(job.light)
         image_sh = projected.image_sh
         report["light"] = _light_report(projected)
-        clock.lap("light", clock.start)
-    receivers: list[ReceiverResult] = []
+    receivers: tuple[ReceiverResult, ...] = ()
     if job.kind != "light":
-        yield from _transfer(job, clock, receivers, report)
-    report.update(_run_report(job, clock))
-    return Results(image_sh, tuple(receivers), report)
+        receivers = yield from _transfer(job, meter, report["objects"])
+    report.update(_run_report(job, meter))
+    return Results(image_sh, receivers, report)
 
 
 def _transfer(
-    job: Job, clock: _Clock, receivers: list[ReceiverResult], report: dict[str, Any]
-) -> Iterator[Progress]:
-    """Bake or verify every receiver of ``job`` into ``receivers`` and ``report``."""
-    yield Progress("points", 0.0, 0, clock.now)
-    since = time.perf_counter()
-    points = [distinct_points(receiver) for receiver in job.receivers]
-    clock.lap("points", since)
-    since = time.perf_counter()
-    sky = occlusion(job.occluder_vertices, job.occluder_triangles)
-    clock.lap("build", since)
-    work = _Work(_rays_expected(job, points))
+    job: Job, meter: _Meter, entries: list[Entry]
+) -> Generator[Progress, None, tuple[ReceiverResult, ...]]:
+    """Bake or verify every receiver of ``job``, with an entry of the report for each."""
+    yield meter.progress("points")
+    with meter.phase("points"):
+        points = [distinct_points(receiver) for receiver in job.receivers]
+    with meter.phase("build"):
+        sky = occlusion(job.occluder_vertices, job.occluder_triangles)
+    meter.rays_expected = _rays_expected(job, points)
+    results: list[ReceiverResult] = []
     for receiver, its_points in zip(job.receivers, points, strict=True):
-        entry: dict[str, Any] = {"name": receiver.name}
+        entry: Entry = {"name": receiver.name}
+        shown = receiver
         if job.kind == "bake":
-            result = yield from _bake(job, receiver, its_points, sky, work, clock, entry)
-            receivers.append(result)
-            receiver = replace(receiver, transfer=result.element_transfer())
+            result = yield from _bake(
+                receiver.name, its_points, sky, job.settings, meter=meter, entry=entry
+            )
+            results.append(result)
+            shown = replace(receiver, transfer=result.element_transfer())
         if job.settings.verify_points:
-            yield from _verify(job, receiver, its_points, sky, work, clock, entry)
-        report["objects"].append(entry)
+            with meter.phase("verify"):
+                steps = measure(shown, its_points, sky, job.settings)
+                measured = yield from meter.follow("verify", steps)
+            entry["measured_error"] = asdict(measured)
+        entries.append(entry)
+    return tuple(results)
 
 
 def _bake(
-    job: Job,
-    receiver: Receiver,
+    name: str,
     points: Points,
     sky: Occlusion,
-    work: _Work,
-    clock: _Clock,
-    entry: dict[str, Any],
+    settings: Settings,
+    *,
+    meter: _Meter,
+    entry: Entry,
 ) -> Generator[Progress, None, ReceiverResult]:
-    settings, count = job.settings, len(points.origins)
+    """Trace ``points`` and write down what it took."""
+    count = len(points.origins)
     transfer = np.zeros((count, settings.order**2), np.float32)
-    since = time.perf_counter()
-    steps = trace_all(
-        points, sky, settings.order, settings.rays, transfer, settings.seed, settings.threads
-    )
-    yield from work.follow("transfer", steps, clock)
-    seconds = time.perf_counter() - since
-    clock.lap("transfer", since)
-    since = time.perf_counter()
-    error, pilot = estimate_error(
-        points, sky, settings.order, settings.rays, transfer, settings.seed
-    )
-    clock.lap("estimate", since)
+    before = dict(meter.seconds)
+    with meter.phase("transfer"):
+        yield from meter.follow("transfer", trace_all(points, sky, settings, transfer))
+    with meter.phase("estimate"):
+        error, pilot_rays = estimate_error(points, sky, settings, transfer)
+    spent = {k: meter.seconds[k] - before.get(k, 0.0) for k in ("transfer", "estimate")}
     rays = count * settings.rays
     entry.update(
         points=count,
         elements=len(points.element_points),
-        rays=rays + pilot,
+        rays=rays + pilot_rays,
         skipped={"the same position and normal": _repeated(points) * settings.rays},
-        seconds={"transfer": seconds, "estimate": time.perf_counter() - since},
-        mrays_per_second=rays / seconds / 1e6 if seconds > 0 else 0.0,
+        seconds=spent,
+        mrays_per_second=rays / max(spent["transfer"], 1e-9) / 1e6,
         estimated_error=error,
         measured_error=None,
     )
-    return ReceiverResult(receiver.name, transfer[:, None], points.element_points)
-
-
-def _verify(
-    job: Job,
-    receiver: Receiver,
-    points: Points,
-    sky: Occlusion,
-    work: _Work,
-    clock: _Clock,
-    entry: dict[str, Any],
-) -> Iterator[Progress]:
-    settings = job.settings
-    found: list[Measured] = []
-    since = time.perf_counter()
-    steps = measure(
-        receiver,
-        points,
-        sky,
-        settings.order,
-        settings.verify_points,
-        settings.verify_rays,
-        settings.seed,
-        found,
-    )
-    yield from work.follow("verify", steps, clock)
-    clock.lap("verify", since)
-    entry["measured_error"] = asdict(found[0])
+    return ReceiverResult(name, transfer[:, None], points.element_points)
 
 
 def _rays_expected(job: Job, points: list[Points]) -> int:
@@ -174,15 +157,15 @@ def _light_report(projected: light.Projected) -> dict[str, Any]:
     return {**size, "repaired": projected.repairs}
 
 
-def _run_report(job: Job, clock: _Clock) -> dict[str, Any]:
+def _run_report(job: Job, meter: _Meter) -> dict[str, Any]:
     return {
         "versions": versions(),
         "settings": asdict(job.settings),
         "occluder_triangles": len(job.occluder_triangles),
         "repaired": job.repairs,
-        "seconds": clock.phases,
+        "seconds": meter.seconds,
         "peak_memory_bytes": peak_memory(),
-        "wall_seconds": clock.now,
+        "wall_seconds": meter.elapsed,
     }
 
 

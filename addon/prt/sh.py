@@ -25,7 +25,7 @@ def index(l: int, m: int) -> int:  # noqa: E741 - l is the field's letter
 
 
 def basis(directions: npt.ArrayLike, order: int) -> Float:
-    """Values of the first ``order`` bands at unit ``directions`` (..., 3), as (..., order²) float64.
+    """Values (..., order²) of the first ``order`` bands at unit ``directions`` (..., 3), float64.
 
     Polynomials in x, y and z, so the poles need no care.  Three-term recurrence of the normalised
     associated Legendre functions: Press et al., Numerical Recipes, 3rd ed., 6.7.

@@ -6,13 +6,15 @@ radiance of a white surface, so 1/pi is inside and the surface's albedo is not.
 
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from .hemisphere import Frames, SetInWorld, Turn, frames, hemisphere_set
+from .job import Settings
 from .points import Points
 from .rays import Occlusion
 
@@ -27,14 +29,14 @@ class Tracer:
     """Fills transfer vectors for batches of points.  One product makes a batch's directions, one
     Embree call its visibility, one product its local coefficients."""
 
-    def __init__(self, points: Points, occlusion: Occlusion, order: int, rays: int, seed: int):
-        self.points, self._occlusion, self._order, self.rays = points, occlusion, order, rays
-        azimuth = np.random.default_rng([seed, rays]).random(len(points.origins)) * (2 * np.pi)
-        self.azimuth = azimuth
-        self._set = hemisphere_set(rays, order)
-        self._in_world = SetInWorld(self._set.directions)
-        self._clear_weights = -self._set.weights  # the mask's -1 is clear
-        self._turn = Turn(order)
+    def __init__(self, points: Points, occlusion: Occlusion, settings: Settings) -> None:
+        self.points, self._occlusion, self.rays = points, occlusion, settings.rays
+        random = np.random.default_rng([settings.seed, settings.rays])
+        self._azimuth = random.random(len(points.origins)) * (2 * np.pi)
+        directions = hemisphere_set(settings.rays, settings.order)
+        self._in_world = SetInWorld(directions.directions)
+        self._clear_weights = -directions.weights  # the mask's -1 is clear
+        self._turn = Turn(settings.order)
         self._buffers = threading.local()
 
     def batches(self, size: int) -> list[slice]:
@@ -53,7 +55,7 @@ class Tracer:
         out[part] = self._turn(local, mask.astype(np.float32) @ self._clear_weights)
 
     def _frames(self, part: slice) -> Frames:
-        return frames(self.points.normals[part], self.azimuth[part])
+        return frames(self.points.normals[part], self._azimuth[part])
 
     def _buffer(self, count: int) -> tuple[Array, Array]:
         """Two (count * rays, 3) arrays of this thread."""
@@ -66,22 +68,16 @@ class Tracer:
 
 
 def trace_all(
-    points: Points,
-    occlusion: Occlusion,
-    order: int,
-    rays: int,
-    out: Array,
-    seed: int = 0,
-    threads: int = 0,
-) -> Iterator[int]:
+    points: Points, occlusion: Occlusion, settings: Settings, out: Array
+) -> Generator[int, None, None]:
     """Fill ``out`` (P, n²) and yield the rays cast so far; ``close()`` stops it.
 
-    The same bits for any number of threads (0: all cores): batches don't depend on it.
+    The same bits for any number of threads: batches don't depend on it.
     """
-    tracer = Tracer(points, occlusion, order, rays, seed)
-    parts = tracer.batches(max(1, BATCH_RAYS // rays))
+    tracer = Tracer(points, occlusion, settings)
+    parts = tracer.batches(max(1, BATCH_RAYS // settings.rays))
     cast = 0
-    pool = ThreadPoolExecutor(threads or available_cores())
+    pool = ThreadPoolExecutor(settings.threads or available_cores())
     try:
         pending: set[Future[int]] = {pool.submit(_trace, tracer, part, out) for part in parts}
         while pending:
@@ -94,7 +90,7 @@ def trace_all(
 
 def _trace(tracer: Tracer, part: slice, out: Array) -> int:
     tracer.trace(part, out)
-    return (part.stop - part.start) * tracer.rays
+    return int(part.stop - part.start) * tracer.rays
 
 
 def available_cores() -> int:
@@ -103,22 +99,19 @@ def available_cores() -> int:
 
 
 def estimate_error(
-    points: Points, occlusion: Occlusion, order: int, rays: int, transfer: Array, seed: int
+    points: Points, occlusion: Occlusion, settings: Settings, transfer: Array
 ) -> tuple[float, int]:
     """The relative RMS error of ``transfer`` (P, n²), and the rays that finding it took.
 
     A part of the points is traced again with a quarter of the rays and other azimuths; the pooled
     difference times a constant is the error of the full set.
     """
-    few = max(1, rays // 4)
+    few = replace(settings, rays=max(1, settings.rays // 4), seed=settings.seed + 1)
     chosen = np.unique(np.linspace(0, len(points.origins) - 1, PILOT_POINTS).astype(np.int64))
     pilot_points = Points(points.origins[chosen], points.normals[chosen], points.element_points[:0])
-    pilot = np.empty((len(chosen), order * order), np.float32)
-    cast = 0
-    for cast in trace_all(pilot_points, occlusion, order, few, pilot, seed + 1, threads=1):
-        pass
-    final = transfer[chosen].astype(np.float64)
-    return ERROR_OF_DIFFERENCE * relative_rms(pilot, final), cast
+    pilot = np.empty((len(chosen), settings.order**2), np.float32)
+    *_, cast = trace_all(pilot_points, occlusion, few, pilot)
+    return ERROR_OF_DIFFERENCE * relative_rms(pilot, transfer[chosen]), cast
 
 
 def relative_rms(values: npt.ArrayLike, reference: npt.ArrayLike) -> float:

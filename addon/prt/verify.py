@@ -4,7 +4,7 @@ The reference knows nothing of the baker's short cuts: each point sums the basis
 directions, with a ray each, in float64 and without the correction.
 """
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from . import sh
 from .hemisphere import cosine_fibonacci, frames
-from .job import Receiver
+from .job import Receiver, Settings
 from .points import Points, Surface, element_triangles, lift, surface_bias
 from .rays import Occlusion
 from .transfer import relative_rms
@@ -66,23 +66,18 @@ def random_surface_points(receiver: Receiver, count: int, seed: int) -> SurfaceP
 
 
 def brute_force(
-    origins: npt.ArrayLike,
-    normals: npt.ArrayLike,
-    occlusion: Occlusion,
-    order: int,
-    rays: int,
-    out: Float,
-    seed: int = 0,
+    origins: Float, normals: Float, occlusion: Occlusion, settings: Settings, out: Float
 ) -> Iterator[int]:
-    """Fill ``out`` (P, n²) with the transfer of each point and yield the rays cast so far."""
-    starts, up = np.asarray(origins, np.float32), np.asarray(normals, np.float64)
-    azimuth = np.random.default_rng([seed, 7]).random(len(up)) * 2 * np.pi
+    """Fill ``out`` (P, n²) with the transfer at ``origins`` (P, 3) about unit ``normals`` (P, 3),
+    by ``verify_rays`` rays each, and yield the rays cast so far."""
+    rays = settings.verify_rays
+    azimuth = np.random.default_rng([settings.seed, 7]).random(len(normals)) * 2 * np.pi
     local = cosine_fibonacci(rays)
-    for p, matrix in enumerate(frames(up, azimuth).matrices()):
+    for p, matrix in enumerate(frames(normals, azimuth).matrices()):
         directions = local @ matrix.T.astype(np.float64)
-        start = np.repeat(starts[p : p + 1], rays, axis=0)
+        start = np.repeat(origins[p : p + 1].astype(np.float32), rays, axis=0)
         mask = occlusion.sky_mask(start, directions.astype(np.float32))
-        out[p] = sh.basis(directions[mask != 0], order).sum(axis=0) / rays
+        out[p] = sh.basis(directions[mask != 0], settings.order).sum(axis=0) / rays
         yield (p + 1) * rays
 
 
@@ -90,29 +85,26 @@ def measure(
     receiver: Receiver,
     points: Points,
     occlusion: Occlusion,
-    order: int,
-    count: int,
-    rays: int,
-    seed: int,
-    found: list[Measured],
-) -> Iterator[int]:
-    """Trace ``count`` random points of the surface and as many of the baked ones again; append the
-    errors to ``found`` and yield the rays cast so far."""
+    settings: Settings,
+) -> Generator[int, None, Measured]:
+    """Trace ``verify_points`` random points of the surface, and as many of the baked ones, again.
+
+    Yields the rays cast so far; the errors are the generator's value.
+    """
     assert receiver.transfer is not None
-    surface = random_surface_points(receiver, count, seed)
+    count = settings.verify_points
+    surface = random_surface_points(receiver, count, settings.seed)
     chosen = np.unique(np.linspace(0, len(points.origins) - 1, count).astype(np.int64))
     baked = _baked_at(receiver, points, chosen)
     origins = np.concatenate([surface.origins, points.origins[chosen]])
     normals = np.concatenate([surface.normals, points.normals[chosen]])
-    reference = np.empty((len(origins), order * order))
-    cast = 0
-    for cast in brute_force(origins, normals, occlusion, order, rays, reference, seed):
-        yield cast
+    reference = np.empty((len(origins), settings.order**2))
+    yield from brute_force(origins, normals, occlusion, settings, reference)
     shown = np.concatenate([surface.shown, baked])
     expected = np.repeat(reference[:, None], shown.shape[1], axis=1)
     on_surface = relative_rms(shown[:count], expected[:count])
     at_points = relative_rms(shown[count:], expected[count:])
-    found.append(Measured(at_points, on_surface, len(origins), cast))
+    return Measured(at_points, on_surface, len(origins), len(origins) * settings.verify_rays)
 
 
 def _baked_at(receiver: Receiver, points: Points, chosen: npt.NDArray[np.int64]) -> Float:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapes
 from prt_baker.addon.prt import points, rays, sh, transfer
+from prt_baker.addon.prt.job import Settings
 
 UP = [0.0, 0.0, 1.0]
 
@@ -16,9 +17,10 @@ def at(origins, normals):
     return points.Points(origins.astype(np.float32), normals.astype(np.float32), empty)
 
 
-def trace(where, sky, order=3, count=256, seed=0, threads=1):
+def trace(where, sky, order=3, count=256, **others):
     out = np.empty((len(where.origins), order**2), np.float32)
-    for _ in transfer.trace_all(where, sky, order, count, out, seed, threads):
+    settings = Settings(order, count, **{"threads": 1, **others})
+    for _ in transfer.trace_all(where, sky, settings, out):
         pass
     return out
 
@@ -122,7 +124,7 @@ def test_same_bits_for_any_number_of_threads():
 def test_closing_stops_the_rays():
     where = at(np.zeros((100_000, 3)), np.tile(UP, (100_000, 1)))
     out = np.full((100_000, 9), np.nan, np.float32)
-    with closing(transfer.trace_all(where, rays.Sky(), 3, 256, out, threads=1)) as steps:
+    with closing(transfer.trace_all(where, rays.Sky(), Settings(), out)) as steps:
         next(steps)
     assert np.isnan(out).any()
 
@@ -135,5 +137,5 @@ def test_estimated_error_is_the_true_one(count):
     some = at(where.origins[::29], where.normals[::29])
     sky = rays.occlusion(vertices, triangles)
     result, reference = trace(some, sky, count=count), trace(some, sky, count=16384, seed=9)
-    estimate, _ = transfer.estimate_error(some, sky, 3, count, result, seed=0)
+    estimate, _ = transfer.estimate_error(some, sky, Settings(rays=count), result)
     assert 0.85 < estimate / transfer.relative_rms(result, reference) < 1.15
