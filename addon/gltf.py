@@ -1,8 +1,9 @@
 """What Blender's glTF exporter calls while it writes: it puts every bake into the file.
 
-The schema is in docs/conventions.md.  Called in this order: ``pre_export_hook``, then for each
-object ``gather_node_mesh_hook``, ``gather_attribute_keep``, ``gather_mesh_hook``,
-``gather_node_hook``, then for each scene ``gather_scene_hook``, when all its nodes are known.
+The schema is in docs/conventions.md.  Called for each scene in this order:
+``vtree_before_filter_hook``, for each object ``gather_node_mesh_hook``, ``gather_attribute_keep``,
+``gather_mesh_hook`` and ``gather_node_hook``, then ``gather_scene_hook``, when all nodes are known;
+at the end once ``gather_gltf_hook``.  (``pre_export_hook`` is newer than Blender 4.3.)
 """
 
 from collections.abc import Iterable
@@ -37,17 +38,18 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
     is_critical = True  # a file with half a bake in it is worse than none
 
     def __init__(self) -> None:
-        self._bakes: dict[bpy.types.Object, stamp.Stamp] = {}
-        self._lights: dict[str, light_state.LightState | None] = {}
-        self._meshes: dict[tuple[int, str], Any] = {}
-        self._originals: list[Any] = []
-        self._attributes = self._apply = False  # what the artist chose
-
-    def pre_export_hook(self, settings: Settings) -> None:
-        """What is baked now; the exporter may go to another frame."""
+        # Now, because the exporter may go to another frame
         self._bakes = shown_bakes()
         self._lights = {scene.name: light_state.read(scene) for scene in bpy.data.scenes}
-        self._attributes, self._apply = settings["gltf_attributes"], settings["gltf_apply"]
+        self._artist: Settings = {}
+        self._meshes: dict[tuple[int, str], Any] = {}
+        self._originals: list[Any] = []
+
+    def vtree_before_filter_hook(self, _tree: Any, settings: Settings) -> None:
+        """Let our attributes out; called once a scene."""
+        if self._artist:
+            return
+        self._artist = {name: settings[name] for name in ("gltf_attributes", "gltf_apply")}
         if any(stamp.KEY in obj for obj in bpy.data.objects):
             settings["gltf_attributes"] = True
         if settings.get("gltf_draco_mesh_compression") and self._bakes:
@@ -58,11 +60,11 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         self, _node_mesh: Any, obj: bpy.types.Object | None, settings: Settings
     ) -> None:
         """The baked mesh is the evaluated one; other objects stay as the artist wants them."""
-        settings["gltf_apply"] = self._apply or obj in self._bakes
+        settings["gltf_apply"] = self._artist["gltf_apply"] or obj in self._bakes
 
     def gather_attribute_keep(self, attribute: Any, _settings: Settings) -> None:
         """Of the artist's attributes only those that he asked for."""
-        if not self._attributes and not gltf_attributes.is_ours(attribute.attr_name):
+        if not self._artist["gltf_attributes"] and not gltf_attributes.is_ours(attribute.attr_name):
             attribute.keep = False
 
     def gather_mesh_hook(self, mesh: Any, data: Any, *_others: Any) -> None:
@@ -90,7 +92,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         self, scene: Any, blender_scene: bpy.types.Scene, settings: Settings
     ) -> None:
         """Give baked nodes their transfer and all others a mesh without."""
-        settings["gltf_apply"] = self._apply
+        settings["gltf_apply"] = self._artist["gltf_apply"]
         frame = gltf_frame.Y_UP if settings["gltf_yup"] else gltf_frame.Z_UP
         nodes = [n for n in settings["vtree"].nodes.values() if n.node and n.node.mesh]
         matrices = self._matrices(nodes, gltf_frame.world_matrices(scene.nodes), frame)
@@ -102,6 +104,14 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         light = self._lights.get(blender_scene.name)
         if light is not None and matrices:
             scene.extras = {**(scene.extras or {}), "prt_light": _light(light, frame)}
+
+    def gather_gltf_hook(
+        self, _active: Any, _scenes: Any, animations: list[Any], _settings: Settings
+    ) -> None:
+        """A baked mesh whose modifiers made new vertices has no shape keys left to animate."""
+        for animation in animations:
+            animation.channels = [c for c in animation.channels if not _aims_at_nothing(c.target)]
+        animations[:] = [animation for animation in animations if animation.channels]
 
     def _matrices(
         self, nodes: Iterable[Any], worlds: dict[int, Any], frame: Any
@@ -129,7 +139,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
             dressed = _baked(mesh, self._bakes[obj], matrices[obj], frame) if key[1] else None
             self._meshes[key] = dressed or _bare(mesh)
         node.node.mesh = self._meshes[key]
-        return obj is None or stamp.KEY not in obj or "prt" in (node.node.mesh.extras or {})
+        return obj is None or stamp.KEY not in obj or _is_baked(node.node.mesh)
 
 
 def _baked(mesh: Any, found: stamp.Stamp, matrix: Any, frame: Any) -> Any | None:
@@ -174,6 +184,16 @@ def _twin(mesh: Any) -> Any:
     twin = copy(mesh)
     twin.primitives = [copy(primitive) for primitive in mesh.primitives]
     return twin
+
+
+def _aims_at_nothing(target: Any) -> bool:
+    """Does an animation move shape keys that a baked mesh does not have?"""
+    mesh = target.node.mesh if target.path == "weights" else None
+    return _is_baked(mesh) and not any(primitive.targets for primitive in mesh.primitives)
+
+
+def _is_baked(mesh: Any | None) -> bool:
+    return mesh is not None and "prt" in (mesh.extras or {})
 
 
 def _attribute_names(mesh: Any) -> set[str]:

@@ -229,7 +229,8 @@ def colored(colors, reading=None):
         attribute.data.foreach_set("color", values.astype(np.float32).ravel())
     for name in ("One", "Two"):
         material = bpy.data.materials.new(name)
-        material.use_nodes = True
+        if bpy.app.version < (5, 0):
+            material.use_nodes = True
         obj.data.materials.append(material)
     if reading is not None:
         nodes = obj.data.materials["One"].node_tree.nodes
@@ -402,6 +403,47 @@ def test_gltf_validator_finds_no_error(scene, bake, out):
     monkey("Unbaked")
     gltf_export.write(str(out))
     assert_valid(out)
+
+
+@pytest.mark.parametrize("subdivided", [True, False])
+def test_shape_keys_are_animated_where_the_baked_mesh_has_them(scene, bake, out, subdivided):
+    obj = monkey()
+    obj.shape_key_add(name="Basis")
+    key = obj.shape_key_add(name="Key")
+    for frame, value in ((1, 0), (20, 1)):
+        key.value = value
+        key.keyframe_insert("value", frame=frame)
+    if subdivided:
+        obj.modifiers.new("Subdivision", "SUBSURF")
+    bake(obj, by_modifier=subdivided)
+    gltf_export.write(str(out))
+    glb = Glb(out)
+    assert glb.prt(obj.name)
+    assert ("animations" in glb.document) != subdivided
+    assert_valid(out)
+
+
+def test_draco_leaves_bakes_out_and_says_so(scene, bake, out, capfd):
+    """Draco rounds what it packs; a wheel without Draco exports as ever."""
+    bake(monkey())
+    glb = export(out, export_draco_mesh_compression_enable=True)
+    packed = "KHR_draco_mesh_compression" in glb.document.get("extensionsUsed", [])
+    assert (glb.prt("Monkey") is None) == packed
+    assert ("Draco would round the bakes" in capfd.readouterr().out) == packed
+
+
+def test_an_animated_object_says_where_it_was_baked(scene, bake, out):
+    """Without Use Current Frame the exporter writes nodes as they stand at frame 0."""
+    obj = monkey()
+    for frame, angle in ((0, 0), (20, 1.5)):
+        obj.rotation_euler.z = angle
+        obj.keyframe_insert("rotation_euler", frame=frame)
+    scene.frame_set(20)
+    transfer = bake(obj)
+    glb = export(out)
+    np.testing.assert_allclose(glb.world(obj.name), np.eye(3))
+    back = np.array(Euler((0, 0, -1.5)).to_matrix())
+    assert_same_light(glb, obj.name, transfer, glb.world(obj.name), back)
 
 
 def test_the_validator_can_fail(scene, bake, out):
