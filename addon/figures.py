@@ -5,6 +5,7 @@ from .stamp import Stamp
 
 PHASES = {
     "scene": "Reading the scene",
+    "start": "Starting the engine",
     "light": "Reading the light",
     "points": "Finding the points",
     "transfer": "Tracing",
@@ -66,4 +67,4 @@ def _errors(stamps: list[Stamp]) -> list[str]:
     estimated = [one.estimated_error for one in stamps if one.estimated_error is not None]
     measured = [one.measured_error for one in stamps if one.measured_error is not None]
     lines = [f"about {percent(max(estimated))} noise"] if estimated else []
-    return lines + ([f"{percent(max(measured))} error measured"] if measured else [])
+    return lines + ([f"{percent(max(measured))} error measured on the surface"] if measured else [])

@@ -2,9 +2,14 @@
 
 import bpy
 
-from ..addon import figures, light_state, live_light, selection, stamp
+from ..addon import figures, light_state, live_light, selection, stale, stamp
 from . import wrap
 from .panel import CROWD, SidebarPanel
+
+MUST_UPDATE = "This world cannot be followed: press Update Light after changing it"
+NO_LAMPS = "Lamps are not in the bake: it holds the light of the world alone"
+CHANGED = "changed since the bake, which is not shown: bake again"
+EXPORT = "The bakes go with File > Export > glTF 2.0, in any format"
 
 
 class BakedPanel(SidebarPanel):
@@ -41,9 +46,8 @@ class PRT_PT_light(BakedPanel, bpy.types.Panel):
         """Whether it follows the world, and how to make it."""
         layout = self.layout
         state = light_state.read(context.scene)
-        problem = live_light.problem(context.scene)
-        if problem:
-            wrap.box(layout, context, "ERROR", problem)
+        if live_light.problem:
+            wrap.box(layout, context, "ERROR", live_light.problem)
         elif state is not None and state.follows:
             layout.label(text="Follows the world", icon="WORLD")
         else:
@@ -65,38 +69,31 @@ class PRT_PT_export(BakedPanel, bpy.types.Panel):
         self.layout.operator("export_scene.gltf", text="Export glTF 2.0")
 
 
-MUST_UPDATE = "This world cannot be followed: press Update Light after changing it"
-NO_LAMPS = "Lamps are not in the bake: it holds the light of the world alone"
-EXPORT = "The bakes go with File > Export > glTF 2.0, in any format"
-
-
 def draw_figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """The figures of one bake, or of several together; bounded, for every redraw asks."""
     if not context.selected_objects and len(context.view_layer.objects) > CROWD:
-        layout.label(text="Select a baked object")
+        layout.label(text="Select a baked object to see its figures")
         return
-    objects = selection.baked_objects(context)
-    stamps = selection.stamps([obj.name for obj in objects[:CROWD]])
+    objects = selection.baked_objects(context)[:CROWD]
+    stamps = selection.stamps([obj.name for obj in objects])
+    single = len(stamps) == 1
     column = layout.column(align=True)
-    if len(stamps) == 1:
-        column.label(text=objects[0].name, icon="OBJECT_DATA")
-        lines = figures.stamp_lines(stamps[0])
-    else:
-        lines = figures.summary_lines(stamps)
-    for line in lines:
-        column.label(text=line)
+    column.label(text=objects[0].name if single else "Together", icon="OBJECT_DATA")
+    for line in figures.stamp_lines(stamps[0]) if single else figures.summary_lines(stamps):
+        column.label(text=line[0].upper() + line[1:])
     draw_stale(layout, context, objects)
 
 
 def draw_stale(
     layout: bpy.types.UILayout, context: bpy.types.Context, objects: list[bpy.types.Object]
 ) -> None:
-    """The bakes that are switched off because their object is no longer what was baked."""
-    names = [obj.name for obj in objects if obj.get(stamp.SWITCH) == 0.0]
-    if names:
-        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        sentence = f"Changed since the bake: {', '.join(names[:3])}{more}. Bake again"
-        wrap.box(layout, context, "ERROR", sentence)
+    """Why bakes are switched off, and what to do."""
+    hidden = [obj for obj in objects if obj.get(stamp.SWITCH) == 0.0]
+    if len(hidden) > 1:
+        wrap.box(layout, context, "ERROR", f"{len(hidden)} objects {CHANGED}")
+    elif hidden and (mark := stamp.read(hidden[0])):
+        reason = stale.reason(hidden[0], mark)
+        wrap.box(layout, context, "ERROR", reason or f"{hidden[0].name} {CHANGED}")
 
 
 def has_lamps(context: bpy.types.Context) -> bool:
