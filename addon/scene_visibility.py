@@ -72,5 +72,8 @@ class Rendered:
 
 
 def _hides_itself(obj: bpy.types.Object) -> bool:
+    """Whether a render shows only the instances that ``obj`` makes, or that are made of it."""
+    if obj.parent and obj.parent.instance_type in {"VERTS", "FACES"}:
+        return True
     instances = obj.is_instancer or len(obj.particle_systems) > 0
     return instances and not obj.show_instancer_for_render
