@@ -62,11 +62,14 @@ def check(layout: Layout, others: int = 0, material: str = "") -> None:
 def pack(layout: Layout, transfer: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """Transfer (E, channels, n²) as attribute values (E, 4 k), unused floats 0."""
     values = np.zeros((len(transfer), len(layout.slots)), np.float32)
-    values[:, : layout.transfer_slots] = transfer.transpose(0, 2, 1).reshape(len(transfer), -1)
+    flat = transfer.transpose(0, 2, 1).reshape(len(transfer), layout.transfer_slots)
+    values[:, : layout.transfer_slots] = flat
     return values
 
 
 def unpack(layout: Layout, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """Attribute values (E, 4 k) as transfer (E, channels, n²)."""
-    transfer = values[:, : layout.transfer_slots].reshape(len(values), -1, layout.channels)
+    transfer = values[:, : layout.transfer_slots].reshape(
+        len(values), layout.order**2, layout.channels
+    )
     return np.ascontiguousarray(transfer.transpose(0, 2, 1))

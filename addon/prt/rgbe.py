@@ -100,7 +100,7 @@ def _old_row(data: bytes, place: int, width: int) -> tuple[bytearray, int]:
             shift = 0
             continue
         repeats = pixel[3] << shift
-        if len(row) + 4 * repeats > 4 * width:
+        if not row or len(row) + 4 * repeats > 4 * width:
             raise RgbeError("is damaged")
         row += row[-4:] * repeats
         shift += 8

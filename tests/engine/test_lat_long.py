@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-
 from prt_baker.addon.prt import lat_long, sh
 
 SIZES = [(1, 1), (1, 2), (2, 4), (3, 5), (37, 90), (64, 128), (256, 512)]
@@ -63,16 +62,15 @@ def test_energy_is_exact():
     np.testing.assert_allclose(mean, energy, rtol=1e-13)
 
 
-@pytest.mark.parametrize(("height", "width", "factor"), [(1, 3, 600), (6, 5, 200), (40, 33, 30)])
+@pytest.mark.parametrize(("height", "width", "factor"), [(1, 3, 400), (6, 5, 80), (20, 13, 30)])
 def test_texels_are_integrated_as_constant_patches(height, width, factor):
     pixels = np.random.default_rng(1).random((height, width, 3), np.float32)
     expected = supersampled(pixels, 5, factor)
     error = np.abs(lat_long.project(pixels, 5) - expected).max()
     coarser = np.abs(supersampled(pixels, 5, factor // 2) - expected).max()
-    assert (
-        error < 0.4 * coarser
-    )  # what is left is the midpoint rule's, a third of that: 1 / (4 - 1)
-    assert error < 1e-4
+    # what is left is the midpoint rule's own: 1 / (4 - 1) of its last step
+    assert error < 0.4 * coarser
+    assert error < 2e-4
 
 
 def test_every_basis_function_projects_to_its_own_coefficient():

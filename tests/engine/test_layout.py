@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-
 from prt_baker.addon.prt import layout
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.layout import Layout
@@ -9,7 +8,7 @@ FITTING = [Layout(order, 1) for order in range(2, 6)] + [Layout(order, 3) for or
 
 
 def test_one_channel_with_its_residual_wastes_no_slot():
-    names = tuple(f"T{i}" for i in range(9)) + ("R0r", "R0g", "R0b")
+    names = (*(f"T{i}" for i in range(9)), "R0r", "R0g", "R0b")
     assert Layout(3, residual=True).slots == names
     assert Layout(3, residual=True).attributes == ("_PRT_0", "_PRT_1", "_PRT_2")
 
@@ -52,8 +51,10 @@ def test_every_float_is_what_its_slot_says(packing):
         np.testing.assert_array_equal(values[:, slot], expected)
 
 
-def test_nobody_baked_is_packed_too():
-    assert layout.pack(Layout(3), np.empty((0, 1, 9), np.float32)).shape == (0, 12)
+def test_an_object_without_elements_is_packed_too():
+    values = layout.pack(Layout(3), np.empty((0, 1, 9), np.float32))
+    assert values.shape == (0, 12)
+    assert layout.unpack(Layout(3), values).shape == (0, 1, 9)
 
 
 def test_what_eevee_reads_is_let_through():
@@ -64,7 +65,7 @@ def test_what_eevee_reads_is_let_through():
 
 
 def test_what_eevee_cannot_read_is_refused_in_a_sentence():
-    with pytest.raises(BakeError, match="19 vertex attributes.*at most 14: choose a lower order"):
+    with pytest.raises(BakeError, match=r"19 vertex attributes.*at most 14: choose a lower order"):
         layout.check(Layout(5, 3))
     with pytest.raises(BakeError, match="3 vertex attributes beside the 12 that material 'Wall'"):
         layout.check(Layout(3), others=12, material="Wall")

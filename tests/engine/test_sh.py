@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 import scipy.special
-from scipy.spatial.transform import Rotation
-
 from prt_baker.addon.prt import sh
+from scipy.spatial.transform import Rotation
 
 ORDERS = range(1, 9)
 POLES = [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0)]
@@ -18,19 +17,19 @@ def random_rotations(count=5):
     return Rotation.random(count, random_state=1).as_matrix()
 
 
-def complex_harmonic(l, m, theta, phi):
+def complex_harmonic(band, m, theta, phi):
     if hasattr(scipy.special, "sph_harm_y"):
-        return scipy.special.sph_harm_y(l, m, theta, phi)
-    return scipy.special.sph_harm(m, l, phi, theta)
+        return scipy.special.sph_harm_y(band, m, theta, phi)
+    return scipy.special.sph_harm(m, band, phi, theta)
 
 
 def scipy_basis(directions, order):
     x, y, z = directions.T
     theta, phi = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
     columns = []
-    for l in range(order):
-        for m in range(-l, l + 1):
-            value = complex_harmonic(l, abs(m), theta, phi) * (-1) ** m  # takes the phase away
+    for band in range(order):
+        for m in range(-band, band + 1):
+            value = complex_harmonic(band, abs(m), theta, phi) * (-1) ** m  # takes the phase away
             part = value.imag if m < 0 else value.real
             columns.append(part * (np.sqrt(2) if m else 1))
     return np.stack(columns, axis=-1)
@@ -46,7 +45,7 @@ def sphere_rule(order):
 
 
 def test_index_counts_the_coefficients_band_by_band():
-    places = [sh.index(l, m) for l in range(8) for m in range(-l, l + 1)]
+    places = [sh.index(band, m) for band in range(8) for m in range(-band, band + 1)]
     assert places == list(range(64))
 
 
@@ -122,7 +121,7 @@ def test_clamped_cosine_is_the_projection_of_max_z_0():
     z, weights = 0.5 * (z + 1), 0.5 * weights  # the upper half alone, where it is smooth
     meridian = np.stack([np.sqrt(1 - z * z), 0 * z, z], axis=-1)
     projection = 2 * np.pi * (weights * z) @ sh.basis(meridian, 8)
-    zonal = [sh.index(l, 0) for l in range(8)]
+    zonal = [sh.index(band, 0) for band in range(8)]
     at_pole = sh.basis([0, 0, 1], 8)[zonal]
     np.testing.assert_allclose(sh.clamped_cosine(8) * at_pole, projection[zonal], atol=1e-13)
 
