@@ -67,6 +67,7 @@ def disconnect(obj: bpy.types.Object) -> None:
     if modifier is not None:
         active = obj.modifiers.active
         kept = active if active != modifier else None
+        carrier_nodes.set_carrier(modifier, None)  # else 5.2 still counts it as used
         obj.modifiers.remove(modifier)
         if kept is not None:
             obj.modifiers.active = kept
@@ -80,7 +81,8 @@ def of(obj: bpy.types.Object) -> bpy.types.Object | None:
 
 def free_unused() -> None:
     """Delete carriers and node groups that no modifier reads."""
-    for carrier in [obj for obj in bpy.data.objects if TAG in obj and not obj.users]:
+    shown = {carrier_nodes.carrier_of(obj) for obj in bpy.data.objects}
+    for carrier in [obj for obj in bpy.data.objects if TAG in obj and obj not in shown]:
         bpy.data.meshes.remove(carrier.data)
     carrier_nodes.free_unused()
 

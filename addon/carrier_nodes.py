@@ -8,6 +8,7 @@ import bpy
 from .prt.layout import PREFIX
 
 TAG = "prt_carrier_group"
+PULL = 0.01  # of the way from a corner to the middle of its face
 COUNTS = {"POINT": "Point Count", "CORNER": "Face Corner Count"}
 
 
@@ -26,7 +27,7 @@ def is_ours(modifier: bpy.types.Modifier) -> bool:
     return tree is not None and TAG in tree
 
 
-def set_carrier(modifier: bpy.types.Modifier, carrier: bpy.types.Object) -> None:
+def set_carrier(modifier: bpy.types.Modifier, carrier: bpy.types.Object | None) -> None:
     """Let ``modifier`` read ``carrier``."""
     identifier = _identifier(modifier.node_group)
     if bpy.app.version >= (5, 2):
@@ -63,12 +64,14 @@ def _identifier(tree: bpy.types.NodeTree) -> str:
 
 @dataclass(frozen=True)
 class _Source:
-    """Where the values come from: the carrier's geometry, and a number above 0 where it has not
-    as many elements of ``domain`` as what is shown."""
+    """Where the values come from: the carrier's geometry, a number above 0 where it has not as
+    many elements of ``domain`` as what is shown, and where to look for its nearest surface, which
+    is the element's own place where that is None."""
 
     domain: str
     geometry: bpy.types.NodeSocket
     differ: bpy.types.NodeSocket
+    place: bpy.types.NodeSocket | None
 
 
 def _build(domain: str, count: int, key: str) -> bpy.types.NodeTree:
@@ -82,7 +85,9 @@ def _build(domain: str, count: int, key: str) -> bpy.types.NodeTree:
     info = _node(tree, "GeometryNodeObjectInfo", -700, -200)
     tree.links.new(inside.outputs["Carrier"], info.inputs["Object"])
     geometry, carrier = inside.outputs["Geometry"], info.outputs["Geometry"]
-    source = _Source(domain, carrier, _counts_differ(tree, geometry, carrier, COUNTS[domain]))
+    differ = _counts_differ(tree, geometry, carrier, COUNTS[domain])
+    place = _inside_face(tree) if domain == "CORNER" else None
+    source = _Source(domain, carrier, differ, place)
     for column in range(count):
         geometry = _stored(tree, geometry, source, column)
     outside = _node(tree, "NodeGroupOutput", 300 + 220 * count, 0)
@@ -105,6 +110,23 @@ def _counts_differ(
         tree.links.new(size.outputs[count], subtract.inputs[place])
     tree.links.new(subtract.outputs[0], absolute.inputs[0])
     return absolute.outputs[0]
+
+
+def _inside_face(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
+    """A corner's place pulled a little into its face, so that the nearest surface is not the one
+    across a sharp edge."""
+    position = _node(tree, "GeometryNodeInputPosition", -900, -800)
+    centre = _node(tree, "GeometryNodeFieldOnDomain", -700, -900, data_type="FLOAT_VECTOR")
+    centre.domain = "FACE"
+    towards = _node(tree, "ShaderNodeVectorMath", -500, -900, operation="SUBTRACT")
+    pulled = _node(tree, "ShaderNodeVectorMath", -300, -800, operation="MULTIPLY_ADD")
+    pulled.inputs[1].default_value = (PULL,) * 3
+    tree.links.new(position.outputs[0], centre.inputs["Value"])
+    tree.links.new(centre.outputs[0], towards.inputs[0])
+    tree.links.new(position.outputs[0], towards.inputs[1])
+    tree.links.new(towards.outputs[0], pulled.inputs[0])
+    tree.links.new(position.outputs[0], pulled.inputs[2])
+    return pulled.outputs[0]
 
 
 def _stored(
@@ -132,6 +154,8 @@ def _sampled(tree: bpy.types.NodeTree, source: _Source, column: int) -> bpy.type
     tree.links.new(index.outputs["Index"], by_index.inputs["Index"])
     tree.links.new(source.geometry, by_index.inputs["Geometry"])
     tree.links.new(source.geometry, nearest.inputs["Mesh"])
+    if source.place is not None:
+        tree.links.new(source.place, nearest.inputs["Sample Position"])
     for sampler in (by_index, nearest):
         tree.links.new(named.outputs["Attribute"], sampler.inputs["Value"])
     tree.links.new(source.differ, switch.inputs["Switch"])

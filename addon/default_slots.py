@@ -55,4 +55,4 @@ def _drop_slot(mesh: bpy.types.Mesh) -> None:
     if KEY in mesh and not needed:
         del mesh[KEY]
         if len(mesh.materials) == 1 and mesh.materials[0] is None:
-            mesh.materials.pop(index=0)
+            mesh.materials.clear()  # pop leaves the slot on the objects

@@ -1,0 +1,81 @@
+"""Made-up bakes, to be written without an engine."""
+
+import bpy
+import numpy as np
+from prt_baker.addon import carrier, writeback
+from prt_baker.addon import scene as scenes
+from prt_baker.addon.prt.job import ReceiverResult
+from prt_baker.addon.stamp import Stamp
+
+
+def quad(scene, x=0.0, y=0.0, material=None, name="Quad"):
+    """A unit square facing up, its corner at (x, y)."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [], [(0, 1, 2, 3)])
+    if material is not None:
+        mesh.materials.append(material)
+    return place(scene, mesh, x, y)
+
+
+def place(scene, mesh, x, y):
+    """An object of ``mesh`` at (x, y)."""
+    obj = bpy.data.objects.new(mesh.name, mesh)
+    obj.location = x, y, 0
+    scene.collection.objects.link(obj)
+    bpy.context.view_layer.update()
+    return obj
+
+
+def principled(name="Material", **values):
+    """A material with a Principled BSDF; ``Base_Color=...`` sets its inputs."""
+    material = bpy.data.materials.new(name)
+    if bpy.app.version < (5, 0):
+        material.use_nodes = True
+    for key, value in values.items():
+        shader(material).inputs[key.replace("_", " ")].default_value = value
+    return material
+
+
+def shader(material):
+    """The Principled BSDF of ``material``."""
+    return next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED")
+
+
+def random_bake(obj, layout, domain="POINT", seed=0):
+    """A bake of random transfer for every vertex or corner of ``obj``."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    with carrier.evaluated_mesh(obj, depsgraph) as mesh:
+        count = len(mesh.vertices if domain == "POINT" else mesh.loops)
+    rng = np.random.default_rng(seed)
+    transfer = rng.normal(0, 0.3, (count, layout.channels, layout.order**2))
+    transfer[:, :, 0] = rng.uniform(0.8, 1.2, (count, layout.channels))
+    result = ReceiverResult(obj.name, transfer.astype(np.float32), np.arange(count, dtype=np.int32))
+    return obj, result, stamp_for(obj, layout, domain)
+
+
+def stamp_for(obj, layout, domain):
+    by_modifier = carrier.needs_modifier(obj, bpy.context.evaluated_depsgraph_get())
+    return Stamp(
+        order=layout.order,
+        channels=layout.channels,
+        layout=layout.slots,
+        carrier="vertex",
+        domain=domain,
+        by_modifier=by_modifier,
+        job_hash="",
+        mesh_signature=scenes.mesh_signature(obj),
+        matrix=tuple(
+            obj.matrix_world.to_3x3().transposed()[i][j] for i in range(3) for j in range(3)
+        ),
+        location=tuple(obj.matrix_world.translation),
+        points=len(obj.data.vertices),
+        rays=0,
+        mrays_per_second=0.0,
+    )
+
+
+def write(scene, layout, *objects, domain="POINT"):
+    """Bake ``objects`` at random; returns what was written."""
+    baked = [random_bake(o, layout, domain, seed) for seed, o in enumerate(objects)]
+    writeback.write(scene, baked, layout)
+    return baked

@@ -1,0 +1,59 @@
+"""Small renders, read back as arrays."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import OpenEXR
+
+EEVEE = "BLENDER_EEVEE" if bpy.app.version >= (5, 0) else "BLENDER_EEVEE_NEXT"
+
+
+def look_down(scene, width, height):
+    """A camera that sees ``width`` x ``height`` metres, ten pixels a metre, from above."""
+    camera = bpy.data.cameras.new("Camera")
+    camera.type, camera.ortho_scale = "ORTHO", max(width, height)
+    scene.camera = bpy.data.objects.new("Camera", camera)
+    scene.camera.location = width / 2, height / 2, 10
+    scene.collection.objects.link(scene.camera)
+    scene.render.resolution_x, scene.render.resolution_y = 10 * width, 10 * height
+    scene.render.resolution_percentage = 100
+
+
+def pixel_centres(scene):
+    """World x and y (H, W, 2) of every pixel of ``look_down``'s picture, top row first."""
+    width, height = scene.render.resolution_x, scene.render.resolution_y
+    x, y = (np.arange(width) + 0.5) / 10, (height - np.arange(height) - 0.5) / 10
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+def render(scene, folder: Path, engine=EEVEE, samples=1):
+    """Channels of the picture by name, "Combined.R" ..., each (H, W) float32, top row first."""
+    scene.render.engine = engine
+    scene.render.filter_size = 0.0
+    scene.render.use_compositing = scene.render.use_sequencer = False
+    scene.eevee.taa_render_samples = samples
+    scene.cycles.samples, scene.cycles.use_denoising = samples, False
+    scene.cycles.pixel_filter_type, scene.cycles.seed = "BOX", 0
+    image = scene.render.image_settings
+    if bpy.app.version >= (5, 0):
+        image.media_type = "MULTI_LAYER_IMAGE"
+    image.file_format, image.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    image.exr_codec = "NONE"
+    scene.render.filepath = str(folder / "picture.exr")
+    bpy.ops.render.render(write_still=True)
+    return _channels(folder / "picture.exr")
+
+
+def colour(picture, name):
+    """One pass (H, W, 3)."""
+    return np.stack([picture[f"{name}.{c}"] for c in "RGB"], axis=-1)
+
+
+def _channels(path):
+    found = {}
+    with OpenEXR.File(str(path), separate_channels=True) as exr:
+        for part in exr.parts:
+            for name, channel in part.channels.items():
+                found[name.split(".", 1)[1]] = np.array(channel.pixels, np.float32)
+    return found
