@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import cubemap, images, lat_long, sh
+from .errors import BakeError
 from .job import LIGHT_ORDER, LightSource
 
 Float = npt.NDArray[np.float64]
@@ -32,13 +33,15 @@ class Projected:
 def project(source: LightSource) -> Projected:
     """The coefficients of the picture of ``source``, to order 5.
 
-    BakeError where its file cannot be read.
+    BakeError where its file cannot be read or it has no pixels.
     """
     pixels = source.pixels
     if pixels is None and source.image is not None:
         pixels = images.read(source.image)
     if pixels is None:
         return Projected(_constant())
+    if not pixels.size:
+        raise BakeError("The world's picture has no pixels")
     repaired, repairs = repair(np.asarray(pixels, np.float32))
     height, width = repaired.shape[:2]
     return Projected(project_picture(repaired, LIGHT_ORDER), repairs, width, height)
@@ -68,11 +71,15 @@ def repair(pixels: Pixels) -> tuple[Pixels, dict[str, int]]:
         sound = pixels.min() >= 0 and pixels.max() < np.inf  # False for NaN
     if sound:
         return pixels, {"negative": 0, "nan": 0, "infinite": 0}
-    faults = {"negative": pixels < 0, "nan": np.isnan(pixels), "infinite": pixels == np.inf}
-    largest = np.max(pixels, where=np.isfinite(pixels), initial=0.0)
-    mended = np.where(faults["infinite"], largest, pixels)
-    mended[faults["negative"] | faults["nan"]] = 0
-    return mended, {name: int(at.any(axis=-1).sum()) for name, at in faults.items()}
+    mended = np.array(pixels, order="C")
+    flat = mended.reshape(-1)
+    places = np.flatnonzero(~((flat >= 0) & (flat < np.inf)))  # few, so all else is of them alone
+    values = flat[places]
+    faults = {"negative": values < 0, "nan": np.isnan(values), "infinite": values == np.inf}
+    flat[places] = 0
+    flat[places[faults["infinite"]]] = flat.max()
+    channels = pixels.shape[-1]
+    return mended, {name: len(np.unique(places[at] // channels)) for name, at in faults.items()}
 
 
 def _constant() -> Float:

@@ -47,6 +47,11 @@ def test_a_file_that_cannot_be_read_is_one_sentence(tmp_path):
         light.project(LightSource(image=str(tmp_path / "none.hdr")))
 
 
+def test_a_picture_without_pixels_is_one_sentence():
+    with pytest.raises(BakeError, match="no pixels"):
+        light.project(LightSource(pixels=np.empty((0, 0, 3), np.float32)))
+
+
 def test_a_picture_in_the_shape_of_a_cross_is_a_cubemap():
     size = 64
     cross = np.full((3 * size, 4 * size, 3), 1e6, np.float32)  # the corners must not be read
