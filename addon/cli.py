@@ -40,6 +40,8 @@ def _bake_opened(arguments: list[str]) -> None:
 
 def _bake_file(arguments: list[str]) -> None:
     asked = options.parse("prt-bake", arguments, with_blend=True)
+    if not asked.blend.is_file():
+        raise BakeError(f"{asked.blend} does not exist or is no file")
     outputs.check(asked.outputs)
     from . import headless
 

@@ -21,9 +21,7 @@ Report = dict[str, Any]
 
 
 def open_blend(path: Path) -> None:
-    """Open ``path``; BakeError when it is missing or damaged."""
-    if not path.is_file():
-        raise BakeError(f"{path} does not exist or is no file")
+    """Open ``path``; BakeError when it is damaged."""
     try:
         bpy.ops.wm.open_mainfile(filepath=str(path.absolute()), load_ui=False)
     except RuntimeError as error:
@@ -36,11 +34,22 @@ def run(asked: Options) -> None:
     names = _object_names(current, asked.objects)
     settings = _settings(current, asked)
     world = str(Path(asked.world).absolute()) if asked.world else None
+    if not asked.outputs:
+        sys.stderr.write("Nothing will be written: --save, --gltf and --report do\n")
     report = _finish(bake.bake(current.name, names, settings, world))
+    report["lamps_left_out"] = _lamps(current)
     _write(asked, names, report)
     for name in names:
         for stamp in selection.stamps([name]):
             sys.stdout.write(f"{name}: {', '.join(figures.stamp_lines(stamp))}\n")
+
+
+def _lamps(current: bpy.types.Scene) -> list[str]:
+    """The lamps of the scene: they light its render, and no bake."""
+    names = [obj.name for obj in current.objects if obj.type == "LIGHT" and not obj.hide_render]
+    if names:
+        sys.stderr.write(f"Lamps are not in the bake: {', '.join(names)}\n")
+    return names
 
 
 def _object_names(current: bpy.types.Scene, asked: list[str]) -> list[str]:
@@ -50,7 +59,7 @@ def _object_names(current: bpy.types.Scene, asked: list[str]) -> list[str]:
     for name in asked:
         if name not in current.objects:
             near = difflib.get_close_matches(name, current.objects.keys(), n=3)
-            hint = f": did you mean {' or '.join(map(repr, near))}" if near else ""
+            hint = f": did you mean {' or '.join(map(repr, near))}?" if near else ""
             raise BakeError(f"Scene {current.name!r} has no object {name!r}{hint}")
     return list(dict.fromkeys(asked))
 

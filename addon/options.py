@@ -8,7 +8,7 @@ from typing import NoReturn
 
 from .prt.errors import BakeError
 
-LATER = "not available yet: leave it out"
+LATER = "(not available yet)"
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def parse(program: str, arguments: list[str], with_blend: bool) -> Options:
     _refuse_later(found)
     for option, suffix in (("save", ".blend"), ("gltf", ".glb"), ("report", ".json")):
         path = getattr(found, option)
-        if path is not None and path.suffix.lower() != suffix:
+        if path is not None and path.suffix.lower() != suffix and not path.is_dir():
             raise BakeError(f"--{option} writes {suffix}: {path} needs that ending")
     return Options(
         blend=found.blend if with_blend else None,
@@ -54,13 +54,14 @@ class _Parser(argparse.ArgumentParser):
     """A parser that says what is wrong in one sentence, without the usage."""
 
     def error(self, message: str) -> NoReturn:
-        raise BakeError(f"{message} (--help lists the options)")
+        raise BakeError(f"{message} (see --help)")
 
 
 def _parser(program: str, with_blend: bool) -> _Parser:
     parser = _Parser(
         prog=program,
-        description="Bake shadowed light that follows the HDRI into the meshes of a .blend.",
+        description="Bake shadowed light that follows the HDRI into the meshes of a .blend.  "
+        "What is not given is as set in the .blend's sidebar.",
         epilog="Exit codes: 0 done, 1 a fault of the baker, 2 something you can mend, "
         "130 interrupted.",
         allow_abbrev=False,
@@ -82,21 +83,24 @@ def _add_what(parser: _Parser) -> None:
         metavar="NAME",
         help="what to bake, again for more; default: what is selected, else every visible mesh",
     )
-    parser.add_argument("--world", metavar="FILE.exr|.hdr", help="another HDRI than the scene's")
+    parser.add_argument("--world", metavar="FILE.exr|.hdr", help="another HDRI for the scene")
 
 
 def _add_how(parser: _Parser) -> None:
     add = parser.add_argument
-    add("--carrier", choices=("vertex", "texture", "auto"), default="vertex", help="where to")
-    add("--resolution", type=_whole(16, 16384), metavar="N", help="texels a side of a texture")
-    add("--texel-density", type=_positive, metavar="D", help="texels a metre of a texture")
+    carriers = ("vertex", "texture", "auto")
+    add("--carrier", choices=carriers, default="vertex", help="where to; so far vertex alone")
+    add("--resolution", type=_whole(16, 16384), metavar="N", help=f"of a texture {LATER}")
+    add("--texel-density", type=_positive, metavar="D", help=f"texels a metre {LATER}")
     add("--order", type=_whole(2, 5), metavar="N", help="bands of the light, 2 to 5")
-    add("--bounces", type=_whole(0, 16), default=0, metavar="K", help="0: shadows only")
-    add("--no-residual", action="store_true", help="leave the baked light's exact part out")
-    add("--peaks", type=_whole(0, 4), default=0, metavar="N", help="suns to cut out of the HDRI")
+    add("--bounces", type=_whole(0, 16), default=0, metavar="K", help=f"0: shadows only {LATER}")
+    add("--no-residual", action="store_true", help="leave out what is exact at the baked light")
+    add("--peaks", type=_whole(0, 4), default=0, metavar="N", help=f"suns cut out {LATER}")
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument("--rays", type=_whole(16, 65536), metavar="N", help="rays a point")
-    effort.add_argument("--tolerance", type=_positive, metavar="E", help="rays until this error")
+    effort.add_argument(
+        "--tolerance", type=_positive, metavar="E", help=f"rays to this error {LATER}"
+    )
     add("--seed", type=_whole(0, 2**31 - 1), metavar="N", help="same seed, same result")
     add("--threads", type=_whole(0, 1024), metavar="N", help="0: every core")
 
@@ -121,7 +125,7 @@ def _refuse_later(found: argparse.Namespace) -> None:
     }
     for option, wanted in asked.items():
         if wanted:
-            raise BakeError(f"{option} is {LATER}")
+            raise BakeError(f"{option} is not available yet: leave it out")
 
 
 def _whole(smallest: int, largest: int) -> Callable[[str], int]:

@@ -1,0 +1,185 @@
+"""The command line: what it passes on, what it refuses, what it writes, and its exit codes."""
+
+import os
+import signal
+from pathlib import Path
+
+import bpy
+import pytest
+from prt_baker.addon import bake, cli, gltf_export
+from prt_baker.addon.prt.errors import BakeError
+from prt_baker.addon.prt.job import Progress
+
+
+@pytest.fixture
+def cube(scene):
+    """A selected cube and one that is not, under a white world."""
+    scene.world = bpy.data.worlds.new("World")
+    for name in ("Stool", "Lamp Shade"):
+        bpy.ops.mesh.primitive_cube_add()
+        bpy.context.object.name = name
+    return bpy.context.object
+
+
+@pytest.fixture
+def asked(cube, monkeypatch):
+    """What a made-up bake was asked for."""
+    calls = []
+
+    def job(*arguments):
+        yield Progress("transfer", 0.5, 100, 1.0)
+        calls.append(arguments)
+        return {"objects": []}
+
+    monkeypatch.setattr(bake, "bake", job)
+    monkeypatch.setattr(gltf_export, "write", lambda path, _names: Path(path).write_bytes(b"glTF"))
+    return calls
+
+
+def refused(capsys, *arguments):
+    """The one sentence that the command refuses ``arguments`` with."""
+    assert cli.command([str(argument) for argument in arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("prt_bake: ")
+    assert "Traceback" not in error
+    assert error.count("\n") == 1
+    return error
+
+
+def fail(error):
+    """A bake that fails."""
+
+    def job(*_arguments):
+        yield Progress("transfer", 0.5)
+        raise error
+
+    return job
+
+
+def test_it_bakes_what_is_selected_as_the_blend_says(scene, asked):
+    scene.prt.rays, scene.prt.seed = 99, 7
+    assert cli.command([]) == 0
+    name, names, settings, world = asked[0]
+    assert (name, names, world) == (scene.name, ["Lamp Shade"], None)
+    assert (settings.order, settings.rays, settings.seed, settings.threads) == (3, 99, 7, 0)
+    assert settings.verify_points == 0
+
+
+def test_options_go_before_the_blend(scene, asked):
+    scene.prt.rays = 99
+    line = "--order 5 --rays 32 --seed 3 --threads 1 --verify --no-residual --carrier vertex"
+    assert cli.command([*line.split(), "--bounces", "0", "--peaks", "0"]) == 0
+    settings = asked[0][2]
+    assert (settings.order, settings.rays, settings.seed, settings.threads) == (5, 32, 3, 1)
+    assert settings.verify_points > 0
+    assert scene.prt.rays == 99, "the .blend's own settings stay"
+
+
+def test_objects_are_baked_as_named_each_once(asked):
+    names = ["Stool", "Lamp Shade", "Stool"]
+    assert cli.command([word for name in names for word in ("--object", name)]) == 0
+    assert asked[0][1] == ["Stool", "Lamp Shade"]
+
+
+def test_an_unknown_object_is_answered_with_near_names(capsys, asked):
+    assert "no object 'Stol': did you mean 'Stool'?" in refused(capsys, "--object", "Stol")
+    assert "no object '../x'" in refused(capsys, "--object", "../x")
+    assert asked == []
+
+
+def test_the_world_is_found_from_where_the_command_is_given(asked, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert cli.command(["--world", "sky.exr"]) == 0
+    assert asked[0][3] == str(tmp_path / "sky.exr")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "--carrier texture",
+        "--carrier auto",
+        "--resolution 1024",
+        "--texel-density 4.5",
+        "--bounces 2",
+        "--peaks 1",
+        "--tolerance 0.01",
+    ],
+)
+def test_what_is_still_to_come_is_refused(capsys, asked, line):
+    assert "not available yet" in refused(capsys, *line.split())
+    assert asked == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "--order 1",
+        "--order 6",
+        "--order many",
+        "--rays 15",
+        "--rays 1e3",
+        "--rays 64 --tolerance 0.01",
+        "--seed -1",
+        "--threads -1",
+        "--tolerance 0",
+        "--tolerance nan",
+        "--carrier cloud",
+        "--object",
+        "--nonsense",
+        "stray.blend",
+        "--ord 3",
+    ],
+)
+def test_a_bad_option_is_one_sentence(capsys, asked, line):
+    refused(capsys, *line.split())
+    assert asked == []
+
+
+def test_help_lists_every_option_of_the_design(capsys):
+    assert cli.command(["--help"]) == 0
+    printed = capsys.readouterr().out
+    line = "object world carrier resolution texel-density order bounces no-residual peaks rays"
+    line += " tolerance seed threads save gltf report verify"
+    assert all(f"--{option}" in printed for option in line.split())
+
+
+def test_a_bake_error_is_2(capsys, cube, monkeypatch):
+    monkeypatch.setattr(bake, "bake", fail(BakeError("The sky is missing")))
+    assert cli.command([]) == 2
+    assert capsys.readouterr().err.endswith("prt_bake: The sky is missing\n")
+
+
+def test_a_bug_is_1_with_its_traceback(capsys, cube, monkeypatch):
+    monkeypatch.setattr(bake, "bake", fail(ZeroDivisionError("ours")))
+    assert cli.command([]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_is_130_and_closes_the_job(capsys, cube, monkeypatch, number):
+    closed = []
+
+    def interrupt(*_arguments):
+        try:
+            yield Progress("transfer", 0.5)
+            os.kill(os.getpid(), number)
+            yield Progress("transfer", 0.6)
+        finally:
+            closed.append(True)
+
+    monkeypatch.setattr(bake, "bake", interrupt)
+    before = signal.getsignal(number)
+    assert cli.command([]) == 130
+    assert closed == [True]
+    assert "interrupted" in capsys.readouterr().err
+    assert signal.getsignal(number) == before
+
+
+def test_progress_goes_to_stderr_and_results_to_stdout(capsys, cube):
+    assert cli.command(["--rays", "16"]) == 0
+    printed = capsys.readouterr()
+    assert "Tracing" in printed.err
+    line = printed.out.splitlines()[-1]
+    assert line.startswith("Lamp Shade: order 3, ")
+    assert " points, 16 rays a point, " in line
+    assert "Mrays/s, about " in line
