@@ -87,6 +87,14 @@ def free_unused() -> None:
     carrier_nodes.free_unused()
 
 
+def depsgraph_of(scene: bpy.types.Scene) -> bpy.types.Depsgraph:
+    """``scene`` evaluated as the viewport shows it."""
+    context = bpy.context
+    layer = context.view_layer if context.scene == scene else scene.view_layers[0]
+    layer.update()
+    return layer.depsgraph
+
+
 @contextmanager
 def evaluated_mesh(
     obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph

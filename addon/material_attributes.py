@@ -1,7 +1,9 @@
 """How many vertex attributes EEVEE reads for an artist's material: the bake must fit beside them.
 
-Each distinct one counts once.  The active UV map counts apart from a UV map read by name, even
-where both are the same map.
+Each distinct one counts once.  What shares and what doesn't was found by filling materials up to
+EEVEE's bound (Blender 4.5 and 5.2): a UV map, an attribute and a colour attribute of one name are
+one; the active UV map counts apart from the same map by its name; a Texture Coordinate node always
+reads the active UV map, whichever of its outputs is used.
 """
 
 from collections.abc import Iterator
@@ -12,10 +14,9 @@ from . import material_plan
 from .material_plan import SHADING, TAG
 
 Attribute = tuple[str, str]  # what kind, which one
-UV: Attribute = ("uv", "")
+UV: Attribute = ("named", "")  # the active one
 GENERATED: Attribute = ("generated", "")
-IMAGES = ("ShaderNodeTexImage",)
-PROCEDURAL = (
+GENERATED_UNLESS_LINKED = (
     "ShaderNodeTexNoise",
     "ShaderNodeTexVoronoi",
     "ShaderNodeTexWave",
@@ -24,6 +25,7 @@ PROCEDURAL = (
     "ShaderNodeTexBrick",
     "ShaderNodeTexGradient",
     "ShaderNodeTexGabor",
+    "ShaderNodeTexSky",
 )
 
 
@@ -52,22 +54,31 @@ def _behind(node: bpy.types.Node, seen: set[bpy.types.Node]) -> Iterator[Attribu
 def _read_by(node: bpy.types.Node) -> Iterator[Attribute]:
     """The attributes that ``node`` reads itself."""
     kind = node.bl_idname
-    if kind in IMAGES and not node.inputs["Vector"].is_linked:
+    if kind == "ShaderNodeTexImage" and not node.inputs["Vector"].is_linked:
         yield UV
-    elif kind in PROCEDURAL and not node.inputs["Vector"].is_linked:
+    elif kind in GENERATED_UNLESS_LINKED and not node.inputs["Vector"].is_linked:
         yield GENERATED
     elif kind == "ShaderNodeTexCoord":
-        read = {"UV": UV, "Generated": GENERATED}
-        yield from (read[s.name] for s in node.outputs if s.is_linked and s.name in read)
-    elif kind == "ShaderNodeUVMap":
-        yield "uv", node.uv_map
+        yield UV
+        yield from [GENERATED] * node.outputs["Generated"].is_linked
+    elif kind == "ShaderNodeNewGeometry":
+        yield from [GENERATED] * node.outputs["Tangent"].is_linked
+    elif kind == "ShaderNodeVectorDisplacement":
+        yield from [("tangent", "")] * (node.space == "TANGENT")
+    else:
+        yield from _named_by(node)
+
+
+def _named_by(node: bpy.types.Node) -> Iterator[Attribute]:
+    """The attributes whose names are properties of ``node``."""
+    kind = node.bl_idname
+    if kind == "ShaderNodeUVMap":
+        yield "named", node.uv_map
     elif kind == "ShaderNodeAttribute" and node.attribute_type == "GEOMETRY":
         yield "named", node.attribute_name
     elif kind == "ShaderNodeVertexColor":
-        yield "colour", node.layer_name
+        yield ("named" if node.layer_name else "colour"), node.layer_name
     elif kind == "ShaderNodeNormalMap" and node.space == "TANGENT":
         yield "tangent", node.uv_map
     elif kind == "ShaderNodeTangent":
         yield GENERATED if node.direction_type == "RADIAL" else ("tangent", node.uv_map)
-    elif kind == "ShaderNodeVectorDisplacement" and node.space == "TANGENT":
-        yield "tangent", ""

@@ -70,13 +70,14 @@ def attached() -> list[bpy.types.Material]:
     return [m for m in bpy.data.materials if STATE in m and m.library is None]
 
 
-def refresh(material: bpy.types.Material) -> bool:
-    """Follow the artist's edits of ``material``; True when something had to change."""
+def refresh(material: bpy.types.Material, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Follow edits and animation of ``material``; True when something had to change."""
     state = _state(material)
     tree = material.node_tree
     if not state or tree is None:
         return False
-    plan = material_plan.read(tree, state["active"])
+    evaluated = material.evaluated_get(depsgraph)  # in a render only this one is animated
+    plan = material_plan.read(evaluated.node_tree, state["active"])
     whole = shading_tree.is_whole(tree, plan)
     if whole and state["structure"] == _structure(plan):
         return shading_tree.sync(tree, plan)
@@ -84,9 +85,9 @@ def refresh(material: bpy.types.Material) -> bool:
     return True
 
 
-def sync_all() -> bool:
-    """``refresh`` for every material that shows bakes; for a handler of edits."""
-    changed = [refresh(material) for material in attached()]
+def sync_all(depsgraph: bpy.types.Depsgraph) -> bool:
+    """``refresh`` for every material that shows bakes."""
+    changed = [refresh(material, depsgraph) for material in attached()]
     return any(changed)
 
 

@@ -41,7 +41,7 @@ def _shown(mesh: bpy.types.Mesh) -> bool:
 
 def _free_materials(scene: bpy.types.Scene) -> None:
     """Detach every material that no baked object shows."""
-    depsgraph = scene.view_layers[0].depsgraph
+    depsgraph = carrier.depsgraph_of(scene)
     baked = (obj for obj in bpy.data.objects if stamp.KEY in obj)
     needed = {material for obj in baked for material in materials.of(obj, depsgraph)}
     for material in materials.attached():

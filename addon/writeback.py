@@ -19,7 +19,7 @@ set_light = nodes.set_light
 def check(scene: bpy.types.Scene, objects: list[bpy.types.Object], layout: Layout) -> None:
     """Refuse, before anything is baked, what could not be written or shown afterwards."""
     layouts.check(layout)
-    depsgraph = _depsgraph(scene)
+    depsgraph = carrier.depsgraph_of(scene)
     for obj in objects:
         for material in materials.of(obj, depsgraph):
             if material.library is not None:
@@ -34,7 +34,7 @@ def check(scene: bpy.types.Scene, objects: list[bpy.types.Object], layout: Layou
 def write(scene: bpy.types.Scene, baked: list[Baked], layout: Layout) -> None:
     """Give every object its values, stamp and materials; on any error all stays as it was."""
     check(scene, [obj for obj, _, _ in baked], layout)
-    depsgraph = _depsgraph(scene)
+    depsgraph = carrier.depsgraph_of(scene)
     with ExitStack() as undo:
         undo.callback(_free_unused)
         prepared = [_prepare(depsgraph, layout, *one) for one in baked]
@@ -152,10 +152,3 @@ def _materials_of(
 ) -> list[bpy.types.Material]:
     found = (material for obj in objects for material in materials.of(obj, depsgraph))
     return list(dict.fromkeys(found))
-
-
-def _depsgraph(scene: bpy.types.Scene) -> bpy.types.Depsgraph:
-    """The evaluated scene, as the viewport shows it."""
-    layer = scene.view_layers[0]
-    layer.update()
-    return layer.depsgraph
