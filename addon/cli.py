@@ -35,6 +35,8 @@ def _bake_opened(arguments: list[str]) -> None:
     outputs.check(asked.outputs)
     from . import headless
 
+    headless.check_opened(sys.argv)
+
     headless.run(asked)
 
 

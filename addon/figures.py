@@ -63,8 +63,16 @@ def summary_lines(stamps: list[Stamp]) -> list[str]:
     return [f"{objects(len(stamps))}, {points:,} points", *_errors(stamps)]
 
 
+def advice(stamp: Stamp) -> str | None:
+    """What would make a bake better, when it was verified and more rays would not."""
+    noise, error = stamp.estimated_error, stamp.measured_error
+    if noise is None or error is None or error < max(0.05, 3 * noise):
+        return None
+    return "Most of this error lies between the vertices: subdivide the mesh where shadows fall"
+
+
 def _errors(stamps: list[Stamp]) -> list[str]:
     estimated = [one.estimated_error for one in stamps if one.estimated_error is not None]
     measured = [one.measured_error for one in stamps if one.measured_error is not None]
-    lines = [f"about {percent(max(estimated))} noise"] if estimated else []
-    return lines + ([f"{percent(max(measured))} error measured on the surface"] if measured else [])
+    lines = [f"{percent(max(estimated))} noise, estimated"] if estimated else []
+    return lines + ([f"{percent(max(measured))} error measured"] if measured else [])

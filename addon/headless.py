@@ -4,8 +4,9 @@ import difflib
 import json
 import sys
 from collections.abc import Generator
-from contextlib import closing
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,31 @@ def open_blend(path: Path) -> None:
         raise BakeError(f"{path} cannot be opened: {_reason(error)}") from error
 
 
+def check_opened(command_line: list[str]) -> None:
+    """BakeError when Blender could not open the .blend of its ``command_line``: it goes on with
+    its startup scene, and that would be baked."""
+    given = takewhile(lambda word: word not in {"-c", "--command"}, command_line)
+    blends = [word for word in given if Path(word).suffix.lower() == ".blend"]
+    if blends and not bpy.data.filepath:
+        raise BakeError(f"{blends[-1]} cannot be opened: see what Blender says above")
+
+
 def run(asked: Options) -> None:
     """Bake the opened scene, write what was asked for, and print a line for each object."""
+    with _in_a_window():
+        _run(asked)
+
+
+def _in_a_window() -> AbstractContextManager[None]:
+    """Blender's ``--command`` has no window in its context, and so no active object: the glTF
+    exporter asks for it."""
+    windows = bpy.context.window_manager.windows
+    if bpy.context.window or not windows:
+        return nullcontext()
+    return bpy.context.temp_override(window=windows[0])
+
+
+def _run(asked: Options) -> None:
     current = bpy.context.scene
     names = _object_names(current, asked.objects)
     settings = _settings(current, asked)

@@ -81,6 +81,8 @@ def draw_figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     column.label(text=objects[0].name if single else "Together", icon="OBJECT_DATA")
     for line in figures.stamp_lines(stamps[0]) if single else figures.summary_lines(stamps):
         column.label(text=line[0].upper() + line[1:])
+    if single and (advice := figures.advice(stamps[0])):
+        wrap.box(layout, context, "INFO", advice)
     draw_stale(layout, context, objects)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from prt_baker.addon import bake, cli, gltf_export
+from prt_baker.addon import bake, cli, gltf_export, headless
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.job import Progress
 
@@ -182,4 +182,15 @@ def test_progress_goes_to_stderr_and_results_to_stdout(capsys, cube):
     line = printed.out.splitlines()[-1]
     assert line.startswith("Lamp Shade: order 3, ")
     assert " points, 16 rays a point, " in line
-    assert "Mrays/s, about " in line
+    assert "Mrays/s, " in line
+    assert line.endswith(" noise, estimated")
+
+
+@pytest.mark.parametrize("flag", ["-c", "--command"])
+def test_what_blender_could_not_open_is_not_baked(scene, tmp_path, flag):
+    line = ["blender", "-b", "Scene One.blend", flag, "prt_bake", "--save", "out.blend"]
+    with pytest.raises(BakeError, match=r"^Scene One\.blend cannot be opened"):
+        headless.check_opened(line)
+    headless.check_opened(["blender", "-b", *line[3:]])
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "Scene One.blend"))
+    headless.check_opened(line)
