@@ -4,7 +4,9 @@ Everything is read from the evaluated depsgraph, so with modifiers, shape keys a
 """
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -126,6 +128,16 @@ def _normals(mesh: bpy.types.Mesh) -> tuple[Domain, Array]:
     return "CORNER", meshes.corner_normals(mesh)
 
 
+@dataclass(frozen=True)
+class _Occluder:
+    """A mesh in its own space, whatever the number of its instances: vertices (V, 3) float32, the
+    triangles (F, 3) int32 that can stop light, and how many cannot, by reason."""
+
+    vertices: Array
+    triangles: Array
+    repairs: Counter[str]
+
+
 def read_occluders(depsgraph: bpy.types.Depsgraph) -> tuple[Array, Array, dict[str, int]]:
     """All that stops light, in world space: vertices (V, 3) float64, triangles (F, 3) int32, and
     how many triangles were left out, by reason.
@@ -134,54 +146,39 @@ def read_occluders(depsgraph: bpy.types.Depsgraph) -> tuple[Array, Array, dict[s
     an instance of the mesh that it makes.
     """
     rendered = Rendered(depsgraph.view_layer)
-    local: dict[int, tuple[Array, Array]] = {}
-    parts: list[tuple[Array, Array]] = []
+    read: dict[int, _Occluder] = {}
+    vertices, triangles, start = [np.empty((0, 3))], [np.empty((0, 3), np.int32)], 0
+    repairs = Counter(dropped_triangles=0, zero_area_triangles=0)
     for instance in depsgraph.object_instances:
         if instance.object.type != "MESH" or not rendered.casts_shadow(instance):
             continue
         key = instance.object.data.as_pointer()
-        if key not in local:
-            local[key] = _local_triangles(instance.object)
-        vertices, triangles = local[key]
-        if len(triangles):
-            matrix = instance.matrix_world
-            parts.append((meshes.to_world(vertices, matrix), meshes.outward(triangles, matrix)))
-    return _mended(*_joined(parts))
+        if key not in read:
+            read[key] = _read_occluder(instance.object)
+        occluder, matrix = read[key], instance.matrix_world
+        repairs.update(occluder.repairs)
+        if not meshes.placed(np.array(matrix)).all():
+            repairs["dropped_triangles"] += len(occluder.triangles)
+            continue
+        vertices.append(meshes.to_world(occluder.vertices, matrix))
+        triangles.append(meshes.outward(occluder.triangles, matrix) + np.int32(start))
+        start += len(occluder.vertices)
+    return np.concatenate(vertices), np.concatenate(triangles), dict(repairs)
 
 
-def _local_triangles(obj: bpy.types.Object) -> tuple[Array, Array]:
-    """Vertices (V, 3) float32 and triangles (F, 3) int32.  ``to_mesh``, and not the data itself,
-    because a subdivision that the GPU does is only in the former."""
+def _read_occluder(obj: bpy.types.Object) -> _Occluder:
+    """The mesh of an evaluated object.  From ``to_mesh`` and not from its data, because a
+    subdivision that the GPU does is only in the former."""
     mesh = obj.to_mesh()
-    found = meshes.positions(mesh), meshes.corner_vertices(mesh)[meshes.triangle_corners(mesh)]
+    vertices = meshes.positions(mesh)
+    triangles = meshes.corner_vertices(mesh)[meshes.triangle_corners(mesh)]
     obj.to_mesh_clear()
-    return found
-
-
-def _joined(parts: list[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """The parts as one mesh; ``parts`` is emptied on the way, which halves the peak of memory."""
-    counts = [len(vertices) for vertices, _ in parts]
-    starts = np.cumsum([0, *counts])
-    triangles = [part[1] + np.int32(start) for part, start in zip(parts, starts, strict=False)]
-    vertices = [part[0] for part in parts]
-    parts.clear()
-    return (
-        np.concatenate([np.empty((0, 3)), *vertices]),
-        np.concatenate([np.empty((0, 3), np.int32), *triangles]),
-    )
-
-
-def _mended(vertices: Array, triangles: Array) -> tuple[Array, Array, dict[str, int]]:
-    """Without the triangles that have a vertex at no finite place, or no area."""
     placed = meshes.placed(vertices)
-    kept = triangles if placed.all() else triangles[placed[triangles].all(axis=1)]
-    solid = meshes.solid(vertices, kept)
-    repairs = {
-        "dropped_triangles": len(triangles) - len(kept),
-        "zero_area_triangles": len(kept) - int(np.count_nonzero(solid)),
-    }
     vertices[~placed] = 0
-    return vertices, kept if solid.all() else kept[solid], repairs
+    finite = triangles[placed[triangles].all(axis=1)]
+    solid = finite[meshes.solid(vertices, finite)]
+    dropped, flat = len(triangles) - len(finite), len(finite) - len(solid)
+    return _Occluder(vertices, solid, Counter(dropped_triangles=dropped, zero_area_triangles=flat))
 
 
 def mesh_signature(obj: bpy.types.Object) -> str:

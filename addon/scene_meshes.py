@@ -20,7 +20,7 @@ READERS = {
     "BOOLEAN": ("value", 1, np.bool_),
 }
 FARTHEST = 1e15  # metres; a float32 tracer squares the coordinates
-FLATTEST = 1e-9  # height of a triangle over its longest edge; float32 has nothing below
+FLATTEST = 1e-7  # height of a triangle over its longest edge: float32 tells no more apart
 
 
 def _read(collection: Collection, name: str, width: int, dtype: type) -> Array:
@@ -104,8 +104,10 @@ def placed(vertices: Array) -> Array:
 
 
 def solid(vertices: Array, triangles: Array) -> Array:
-    """Which ``triangles`` have an area worth the name: (F,) bool."""
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
-    longest = np.max([np.square(edge).sum(axis=1) for edge in (b - a, c - a, c - b)], axis=0)
-    return np.asarray(np.square(normals).sum(axis=1) > np.square(FLATTEST * longest))
+    """Which ``triangles`` have an area worth the name: (F,) bool.  By Lagrange's identity: a
+    cross product takes five times as long."""
+    first = vertices[triangles[:, 0]].astype(np.float64)
+    u, v = vertices[triangles[:, 1]] - first, vertices[triangles[:, 2]] - first
+    uu, vv, uv = (np.einsum("fk,fk->f", *pair) for pair in ((u, u), (v, v), (u, v)))
+    longest = np.maximum(np.maximum(uu, vv), uu + vv - 2 * uv)
+    return np.asarray(uu * vv - uv * uv > np.square(FLATTEST * longest))

@@ -79,7 +79,7 @@ def source(simple: SimpleWorld, folder: Path) -> LightSource:
 def read_nodes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> SimpleWorld | None:
     """What the nodes of ``scene``'s evaluated world say; None where they have to be rendered.
 
-    Costs some 30 microseconds.  BakeError where there is no light to read.
+    Costs 0.15 ms.  BakeError where there is no light to read.
     """
     if scene.world is None:
         raise BakeError("The scene has no world: add one in World Properties")
@@ -193,10 +193,12 @@ def image_key(image: bpy.types.Image) -> str | None:
         return f"packed {image.name_full} {image.packed_file.size}" if packed_float else None
     if image.packed_file:
         return f"packed {image.name_full} {image.packed_file.size}"
-    path = _path(image)
-    if not path.is_file():
-        raise BakeError(f"The world's image {str(path)!r} is missing: find it or open another one")
-    return _file_key(path)
+    try:
+        return _file_key(_path(image))
+    except OSError as error:
+        raise BakeError(
+            f"The world's image {str(_path(image))!r} is missing: find it or open another one"
+        ) from error
 
 
 def _generated(image: bpy.types.Image) -> tuple[object, ...]:

@@ -247,8 +247,8 @@ def test_shared_meshes_are_read_once(scene, monkeypatch):
     for i in range(20):
         place(mesh, matrix=Matrix.Translation((3 * i, 0, 0)))
     read = []
-    once = scene_arrays._local_triangles
-    monkeypatch.setattr(scene_arrays, "_local_triangles", lambda o: read.append(o) or once(o))
+    once = scene_arrays._read_occluder
+    monkeypatch.setattr(scene_arrays, "_read_occluder", lambda o: read.append(o) or once(o))
     _, triangles, _ = occluders()
     assert len(read) == 1
     assert len(triangles) == 20 * len(mesh.polygons)
@@ -352,6 +352,14 @@ def test_broken_triangles_stop_no_light_and_are_counted(scene):
     touching = sum(0 in corner.vertices for corner in triangulation(obj))
     assert repairs == {"dropped_triangles": touching, "zero_area_triangles": 1}
     assert len(triangles) == 12 - touching
+    assert np.isfinite(vertices).all()
+
+
+def test_an_object_at_no_place_stops_no_light(scene):
+    place(cube(), matrix=Matrix.Translation((float("nan"), 0, 0)))
+    place(cube())
+    vertices, triangles, repairs = occluders()
+    assert repairs["dropped_triangles"] == len(triangles) == 12
     assert np.isfinite(vertices).all()
 
 
