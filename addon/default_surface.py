@@ -26,6 +26,11 @@ def material() -> bpy.types.Material:
     return made
 
 
+def is_ours(material: bpy.types.Material) -> bool:
+    """Whether it is the material for faces that have none."""
+    return bool(material.get(NAME))
+
+
 def free_unused() -> None:
     """Delete the default material where no object has it."""
     for found in [m for m in bpy.data.materials if m.get(NAME) and not m.users]:

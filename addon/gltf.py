@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from . import gltf_attributes, gltf_frame, light_state, stamp
+from . import default_surface, gltf_attributes, gltf_colors, gltf_frame, light_state, stamp
 from .prt import sh
 from .prt.layout import Layout
 
@@ -41,6 +41,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         # Now, because the exporter may go to another frame
         self._bakes = shown_bakes()
         self._lights = {scene.name: light_state.read(scene) for scene in bpy.data.scenes}
+        self._stamped = any(stamp.KEY in obj for obj in bpy.data.objects)
         self._artist: Settings = {}
         self._meshes: dict[tuple[int, str], Any] = {}
         self._originals: list[Any] = []
@@ -50,7 +51,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         if self._artist:
             return
         self._artist = {name: settings[name] for name in ("gltf_attributes", "gltf_apply")}
-        if any(stamp.KEY in obj for obj in bpy.data.objects):
+        if self._stamped:
             settings["gltf_attributes"] = True
         if settings.get("gltf_draco_mesh_compression") and self._bakes:
             self._bakes = {}
@@ -67,18 +68,26 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         if not self._artist["gltf_attributes"] and not gltf_attributes.is_ours(attribute.attr_name):
             attribute.keep = False
 
-    def gather_mesh_hook(self, mesh: Any, data: Any, *_others: Any) -> None:
-        """COLOR_n are the artist's alone."""
-        colors = getattr(data, "color_attributes", ())
-        names = [color.name for color in colors]
-        if not any(map(gltf_attributes.is_ours, names)):
+    def gather_mesh_hook(
+        self,
+        mesh: Any,
+        data: Any,
+        _obj: Any,
+        _groups: Any,
+        _modifiers: Any,
+        materials: tuple[bpy.types.Material | None, ...],
+        settings: Settings,
+    ) -> None:
+        """COLOR_n and materials are the artist's alone."""
+        if not self._stamped or not isinstance(data, bpy.types.Mesh):
             return
-        render = names[colors.render_color_index] if colors.render_color_index >= 0 else ""
-        for primitive in mesh.primitives:
-            primitive.attributes = gltf_attributes.without_our_colors(
-                primitive.attributes, names, render
-            )
         mesh.extras = _without_ours(mesh.extras)
+        colors = gltf_colors.of(data, materials, settings)
+        defaults = {m.name for m in materials if m and default_surface.is_ours(m)}
+        for primitive in mesh.primitives:
+            primitive.attributes = colors.of_the_artist(primitive.attributes)
+            if primitive.material is not None and primitive.material.name in defaults:
+                primitive.material = None
 
     def gather_node_hook(self, node: Any, _obj: bpy.types.Object | None, _settings: Any) -> None:
         """Stamps are for the .blend."""

@@ -4,7 +4,7 @@ Nothing of the exporter's is changed in place: it keeps primitives for other obj
 mesh.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
 from typing import Any
 
@@ -15,7 +15,7 @@ from .prt.layout import PREFIX
 
 Accessors = dict[str, Any]
 
-FLOAT, UNSIGNED_SHORT = 5126, 5123
+FLOAT = 5126
 
 
 def is_ours(name: str) -> bool:
@@ -33,7 +33,7 @@ def read(attributes: Accessors, names: Sequence[str]) -> npt.NDArray[np.float32]
     accessors = [attributes.get(name) for name in names]
     if any(a is None or (a.component_type, a.type) != (FLOAT, "VEC4") for a in accessors):
         return None
-    return np.concatenate([_values(accessor) for accessor in accessors], axis=1)
+    return np.concatenate([values_of(accessor) for accessor in accessors], axis=1)
 
 
 def replaced(
@@ -47,58 +47,8 @@ def replaced(
     return bare(attributes) | ours
 
 
-def without_our_colors(attributes: Accessors, names: Sequence[str], render: str) -> Accessors:
-    """``attributes`` with the COLOR_n that the exporter would write if we were not there.
-
-    Ours are colour attributes in Blender, so the exporter writes clipped copies of them.  ``names``
-    are the mesh's colour attributes in order, ``render`` the default one of them.
-    """
-    colors = {name: a for name, a in attributes.items() if name.startswith("COLOR_")}
-    written = [colors[name] for name in sorted(colors, key=lambda name: int(name[6:]))]
-    if all(is_ours(name) for name in names):
-        theirs = []
-    else:
-        order = _order(attributes, written, names, render)
-        theirs = [a for a, name in zip(written, order, strict=False) if not is_ours(name)]
-    others = {name: a for name, a in attributes.items() if name not in colors}
-    return others | {f"COLOR_{n}": accessor for n, accessor in enumerate(theirs)}
-
-
-def _order(
-    attributes: Accessors, written: list[Any], names: Sequence[str], render: str
-) -> list[str]:
-    """The colour attribute that each of ``written`` came from."""
-    for order in _possible_orders(names, render, len(written)):
-        pairs = zip(written, order, strict=False)
-        if all(_is_copy(a, attributes.get(name)) for a, name in pairs if is_ours(name)):
-            return order
-    return [name for name in names if not is_ours(name)]
-
-
-def _possible_orders(names: Sequence[str], render: str, count: int) -> Iterator[list[str]]:
-    """First comes the colour that the material reads, or a white one ("") where it reads none; the
-    rest follow as they lie in the mesh."""
-    if count > len(names):
-        yield ["", *names]
-    for first in sorted(names, key=lambda name: (name != render, is_ours(name))):
-        yield [first, *(name for name in names if name != first)]
-
-
-def _is_copy(color: Any, ours: Any) -> bool:
-    """Did the exporter make ``color`` of our attribute?"""
-    if ours is None:
-        return False
-    values = _values(ours)
-    if color.component_type == UNSIGNED_SHORT:
-        with np.errstate(invalid="ignore"):
-            scaled = np.clip(values, 0, 1) * np.float32(65535) + np.float32(0.5)
-            expected = scaled.astype(np.uint16)
-    else:
-        expected = values[:, :3]
-    return bool(color.buffer_view.data == expected.tobytes())
-
-
-def _values(accessor: Any) -> npt.NDArray[np.float32]:
+def values_of(accessor: Any) -> npt.NDArray[np.float32]:
+    """Values (E, 4) of a float VEC4."""
     return np.frombuffer(accessor.buffer_view.data, np.float32).reshape(-1, 4)
 
 

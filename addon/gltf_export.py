@@ -1,7 +1,6 @@
 """Write the scene as a .glb, through Blender's own exporter."""
 
 import json
-import os
 import re
 import struct
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from typing import Any
 
 import bpy
 
+from . import outputs
 from .gltf import shown_bakes
 from .prt.errors import BakeError
 
@@ -24,15 +24,13 @@ def write(path: str, object_names: list[str] | None = None) -> None:
     BakeError or RuntimeError says why not; then there is no file, or the one that was there before.
     """
     target = Path(path)
+    if target.suffix.lower() != ".glb":
+        raise BakeError(f"The glTF file {path} must be called .glb")
     expected = _visible_bakes() if object_names is None else _named_bakes(object_names)
-    temporary = target.with_name(f".{target.stem}.{os.getpid()}.glb")
-    _check_target(target, temporary)
-    try:
-        _export(temporary, target)
-        _check_bakes(temporary, expected)
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    outputs.check([target])
+    with outputs.staged([target]) as places:
+        _export(places[target])
+        _check_bakes(places[target], expected)
 
 
 def _visible_bakes() -> set[str]:
@@ -51,25 +49,13 @@ def _named_bakes(names: list[str]) -> set[str]:
     return set(names)
 
 
-def _check_target(target: Path, temporary: Path) -> None:
-    """Refuse what cannot be written, before the work."""
-    if target.suffix.lower() != ".glb":
-        raise BakeError(f"The glTF file {str(target)!r} must be called .glb")
-    if target.is_dir():
-        raise BakeError(f"{str(target)!r} is a folder: name a .glb file")
-    try:
-        temporary.touch()
-    except OSError as error:
-        raise BakeError(f"{str(target)!r} cannot be written: {error.strerror}") from error
-
-
-def _export(temporary: Path, target: Path) -> None:
+def _export(path: Path) -> None:
     if not hasattr(bpy.types, "EXPORT_SCENE_OT_gltf"):
         raise BakeError("Enable the add-on glTF 2.0 format in the preferences to write a .glb")
     try:
         with _found_by_the_exporter():
             bpy.ops.export_scene.gltf(
-                filepath=str(temporary),
+                filepath=str(path),
                 export_format="GLB",
                 use_visible=True,
                 use_active_scene=True,
@@ -79,7 +65,7 @@ def _export(temporary: Path, target: Path) -> None:
         reason = re.search(r"\[Errno \d+\] ([^:\n]+)", str(error))
         if reason is None:
             raise
-        raise BakeError(f"{str(target)!r} cannot be written: {reason[1]}") from error
+        raise BakeError(f"{path} cannot be written: {reason[1]}") from error
 
 
 @contextmanager

@@ -1,9 +1,10 @@
-"""An empty file, and objects baked by hand in it: made-up transfer, so that a mistake shows."""
+"""An empty file, and objects baked in it with made-up transfer, so that a mistake shows."""
 
 import bpy
 import numpy as np
 import pytest
-from prt_baker.addon import attributes, carrier, light_state, stamp
+from prt_baker.addon import attributes, carrier, light_state, stamp, writeback
+from prt_baker.addon.prt.job import ReceiverResult
 from prt_baker.addon.prt.layout import Layout, pack
 
 
@@ -24,7 +25,7 @@ def bake(scene):
 
 
 def bake_by_hand(obj, *, order=3, channels=1, residual=False, domain="POINT", by_modifier=False):
-    """Random transfer on ``obj``, stamped as if it had just been baked."""
+    """Random transfer on ``obj``, written as if it had just been baked; the residual is 7."""
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
     layout = Layout(order, channels, residual)
@@ -32,13 +33,14 @@ def bake_by_hand(obj, *, order=3, channels=1, residual=False, domain="POINT", by
         count = len(mesh.vertices if domain == "POINT" else mesh.loops)
     rng = np.random.default_rng(count + order)
     transfer = rng.normal(size=(count, channels, order**2)).astype(np.float32)
-    values = pack(layout, transfer)
-    values[:, layout.transfer_slots :] = 7
-    if by_modifier:
-        carrier.connect(obj, carrier.make(obj, depsgraph, layout, domain, values))
-    else:
-        attributes.write(obj.data, layout, domain, values)
-    stamp.write(obj, make_stamp(obj, layout, domain, by_modifier))
+    result = ReceiverResult(obj.name, transfer, np.arange(count, dtype=np.int32))
+    made = make_stamp(obj, layout, domain, by_modifier)
+    writeback.write(bpy.context.scene, [(obj, result, made)], layout)
+    if residual:
+        values = pack(layout, transfer)
+        values[:, layout.transfer_slots :] = 7
+        holder = carrier.of(obj) if by_modifier else obj
+        attributes.put(holder.data, attributes.split(layout, domain, values))
     bpy.context.view_layer.update()
     return transfer
 
