@@ -21,7 +21,7 @@ demo: venv
 	python tools/demo.py
 
 test: lint wheels $(VALIDATOR)
-	python -m pytest
+	pytest
 
 venv:
 	@mkdir -p $(MESA_SHADER_CACHE_DIR)
@@ -47,7 +47,7 @@ $(VALIDATOR): tests/gltf/package-lock.json | venv
 	@touch $@
 
 real-blender: wheels
-	tools/real_blender_test.sh
+	pytest tools/real_blender
 
 clean:
 	rm -rf build dist demo .cache .mypy_cache .pytest_cache .ruff_cache

@@ -9,7 +9,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-import addon_utils
 import bpy
 
 ID = "bl_ext.user_default.prt_baker"
@@ -24,7 +23,6 @@ def hdri():
 
 def light_scene():
     """A cube over a ground, under a map, all selected."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.mesh.primitive_plane_add(size=4, location=(0, 0, -1))
     bpy.ops.mesh.primitive_cube_add()
     bpy.ops.object.select_all(action="SELECT")
@@ -63,7 +61,7 @@ def bake():
 
 def disable():
     """Switch the extension off and look for what it left."""
-    addon_utils.disable(ID)
+    bpy.ops.preferences.addon_disable(module=ID)
     left = [name for name in ("bake", "cancel", "verify") if hasattr(bpy.types, f"PRT_OT_{name}")]
     return {
         "operators": left,
@@ -74,13 +72,13 @@ def disable():
 
 def main():
     """Do it all."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.extensions.package_install_files(
         repo="user_default", filepath=sys.argv[1], enable_on_install=True
     )
     folder = Path(sys.modules[ID].__file__).parent
     before = files(folder)
     light_scene()
-    addon_utils.enable(ID)
     said = bake()
     said["new_files"] = sorted(files(folder) - before)
     said["after"] = disable()
