@@ -6,6 +6,7 @@ import pytest
 from prt_baker.addon import attributes, carrier, light_state, stamp, writeback
 from prt_baker.addon.prt.job import ReceiverResult
 from prt_baker.addon.prt.layout import Layout, pack
+from prt_baker.addon.scene import mesh_signature
 
 
 @pytest.fixture
@@ -22,6 +23,11 @@ def scene():
 def bake(scene):
     """Bakes made-up values; returns the transfer (E, channels, n²) of the object's elements."""
     return bake_by_hand
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "scene.glb"
 
 
 def bake_by_hand(obj, *, order=3, channels=1, residual=False, domain="POINT", by_modifier=False):
@@ -56,7 +62,7 @@ def make_stamp(obj, layout, domain, by_modifier):
         domain=domain,
         by_modifier=by_modifier,
         job_hash="",
-        mesh_signature="",
+        mesh_signature=mesh_signature(obj),
         matrix=tuple(world[:3, :3].ravel(order="F").tolist()),
         location=tuple(world[:3, 3].tolist()),
         points=0,

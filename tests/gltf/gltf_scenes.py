@@ -1,0 +1,92 @@
+"""Objects to bake and to export."""
+
+import bpy
+import numpy as np
+from glb import Glb
+from mathutils import Euler, Matrix
+from prt_baker.addon import gltf_export
+
+
+def monkey(name="Monkey", location=(0, 0, 0)):
+    bpy.ops.mesh.primitive_monkey_add(location=location)
+    obj = bpy.context.object
+    obj.name = name
+    return obj
+
+
+def plain():
+    return monkey()
+
+
+def rotated():
+    obj = monkey(location=(1, 2, 3))
+    obj.rotation_euler = (0.4, 1.1, -2)
+    return obj
+
+
+def mirrored():
+    obj = rotated()
+    obj.scale = (-1, 2, 0.5)
+    return obj
+
+
+def sheared():
+    """A turned child of a parent that is scaled unevenly."""
+    parent = bpy.data.objects.new("Parent", None)
+    bpy.context.collection.objects.link(parent)
+    parent.scale, parent.rotation_euler = (1, 3, 0.5), (0.2, 0.3, 0.4)
+    obj = mirrored()
+    obj.parent = parent
+    return obj
+
+
+def sheared_by_itself():
+    """Parented with its place kept: its own matrix is sheared, which no glTF node can hold."""
+    obj = sheared()
+    obj.matrix_parent_inverse = (
+        Matrix.Diagonal((1, 4, 1, 1)) @ Euler((1, 1, 0)).to_matrix().to_4x4()
+    )
+    return obj
+
+
+NODES = [plain, rotated, mirrored, sheared, sheared_by_itself]
+
+
+def paint(mesh, name, kind, domain):
+    attribute = mesh.color_attributes.new(name, kind, domain)
+    values = np.random.default_rng(len(name)).uniform(size=(len(attribute.data), 4))
+    attribute.data.foreach_set("color", values.astype(np.float32).ravel())
+
+
+def colored(colors, reading=None):
+    """One object with colour attributes and two materials; the first reads ``reading``."""
+    obj = monkey()
+    for color in colors:
+        paint(obj.data, *color)
+    for name in ("One", "Two") if reading != "no material" else ():
+        material = bpy.data.materials.new(name)
+        if bpy.app.version < (5, 0):
+            material.use_nodes = True
+        obj.data.materials.append(material)
+    if reading in (*[color[0] for color in colors], ""):
+        nodes = obj.data.materials["One"].node_tree.nodes
+        node = nodes.new("ShaderNodeVertexColor")
+        node.layer_name = reading
+        principled = next(n for n in nodes if n.type == "BSDF_PRINCIPLED")
+        obj.data.materials["One"].node_tree.links.new(
+            node.outputs["Color"], principled.inputs["Base Color"]
+        )
+    for polygon in list(obj.data.polygons)[::2]:
+        polygon.material_index = 1
+    obj["artist"] = 1
+    return obj
+
+
+def export(path, **options):
+    """File > Export, as an artist may set it."""
+    with gltf_export._found_by_the_exporter():
+        bpy.ops.export_scene.gltf(filepath=str(path), export_format="GLB", **options)
+    return Glb(path)
+
+
+COLORS = [("Paint", "BYTE_COLOR", "CORNER"), ("Dirt", "FLOAT_COLOR", "POINT")]
