@@ -31,11 +31,11 @@ class PRT_PT_bake(SidebarPanel, bpy.types.Panel):
             return
         if context.scene.world is None:
             wrap.box(layout, context, "ERROR", NO_WORLD)
-            layout.operator("world.new", text="Add World", icon="ADD")
-        column = layout.column(align=True)
+            layout.template_ID(context.scene, "world", new="world.new")
+        column = layout.column()
         column.scale_y = 1.5
-        column.operator("prt.bake", icon="LIGHT_HEMI")
-        layout.label(text=receivers(context), icon="OUTLINER_OB_MESH")
+        # No label below: Blender takes it for the bar that was here, and paints it like one
+        column.operator("prt.bake", text=what_is_baked(context), icon="LIGHT_HEMI")
 
 
 def draw_progress(layout: bpy.types.UILayout, run: run_state.Run) -> None:
@@ -50,12 +50,12 @@ def draw_progress(layout: bpy.types.UILayout, run: run_state.Run) -> None:
     layout.label(text=f"{figures.phase(progress)}{tail}")
 
 
-def receivers(context: bpy.types.Context) -> str:
-    """What Bake would bake."""
+def what_is_baked(context: bpy.types.Context) -> str:
+    """The button's text."""
     selected = sum(obj.type == "MESH" for obj in context.selected_objects)
     if selected:
-        return f"{figures.objects(selected)} selected"
+        return f"Bake {selected} Selected Object{'s' * (selected > 1)}"
     if len(context.view_layer.objects) > CROWD:
-        return "Every visible mesh"
+        return "Bake All Visible Meshes"
     visible = sum(obj.type == "MESH" for obj in context.visible_objects)
-    return f"Every visible mesh ({figures.objects(visible)})" if visible else "No mesh to bake"
+    return f"Bake {visible} Visible Object{'s' * (visible > 1)}" if visible else "Bake PRT"

@@ -4,7 +4,7 @@ import textwrap
 
 import bpy
 
-CHARACTER = 7.0  # pixels that a letter takes, about, at 72 dpi and a scale of 1
+CHARACTER = 6.4  # pixels that a letter takes, about, at 72 dpi and a scale of 1
 
 
 def box(layout: bpy.types.UILayout, context: bpy.types.Context, icon: str, sentence: str) -> None:

@@ -1,12 +1,11 @@
 """The buttons, on a job made up for them."""
 
 import bpy
-import numpy as np
 import pytest
 from prt_baker.addon import bake, light_state, run_state, stamp
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.job import Progress, Settings
-from prt_baker.addon.prt.layout import Layout
+from stamped import put_bake
 
 
 @pytest.fixture
@@ -33,31 +32,6 @@ def calls(monkeypatch):
     for name in ("bake", "verify", "update_light"):
         monkeypatch.setattr(bake, name, fake(name))
     return asked
-
-
-def put_bake(scene, *objects):
-    """As if ``objects`` had been baked."""
-    layout = Layout(3)
-    for obj in objects:
-        mark = stamp.Stamp(
-            order=3,
-            channels=1,
-            layout=layout.slots,
-            carrier="vertex",
-            domain="POINT",
-            by_modifier=False,
-            job_hash="",
-            mesh_signature="",
-            matrix=(1.0,) * 9,
-            location=(0.0,) * 3,
-            points=8,
-            rays=256,
-            mrays_per_second=1.0,
-            estimated_error=0.012,
-        )
-        stamp.write(obj, mark)
-    light = np.zeros((25, 3))
-    light_state.write(scene, light_state.LightState("", light, light, light))
 
 
 def why_not(operator):
