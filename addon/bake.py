@@ -13,6 +13,7 @@ import bpy
 
 from . import (
     attributes,
+    carrier,
     engine,
     light_state,
     live_light,
@@ -40,7 +41,8 @@ def bake(
 ) -> Steps:
     """Bake the objects and light them; the report is the generator's value.
 
-    ``hdri`` names a lat-long image that becomes the scene's world with the result.
+    ``hdri`` names an image that becomes the scene's world with the result; a cubemap, which no
+    world can show, only lights the bake.
     """
     with engine.job_folder() as folder:
         layout = Layout(settings.order)
@@ -54,7 +56,9 @@ def bake(
             for obj, receiver in zip(_objects(object_names), job.receivers, strict=True)
         ]
         results = yield from engine.run(job, folder)
-    if hdri is not None:
+    if hdri is not None and results.report["light"]["projection"] == "cubemap":
+        light = replace(light, follows=False)
+    elif hdri is not None:
         world_file.assign(bpy.data.scenes[scene_name], hdri)
     _write(scene_name, results, stamps, layout)
     _set_light(scene_name, light, results.image_sh, baked=True)
@@ -150,7 +154,7 @@ def _stamp(obj: bpy.types.Object, layout: Layout, domain: str) -> stamp.Stamp:
         layout=layout.slots,
         carrier="vertex",
         domain=domain,
-        by_modifier=False,
+        by_modifier=carrier.needs_modifier(obj, bpy.context.evaluated_depsgraph_get()),
         job_hash="",
         mesh_signature=scene.mesh_signature(obj),
         matrix=tuple(value for column in matrix.to_3x3().transposed() for value in column),

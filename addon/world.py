@@ -56,13 +56,13 @@ def read(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, folder: Path) -
 
 
 def from_file(path: str | Path) -> WorldLight:
-    """Light of a lat-long .exr or .hdr that becomes the scene's world."""
+    """Light of an .exr or .hdr, lat-long or cubemap, or of a folder with six faces."""
     image = Path(path).absolute()
-    if not image.is_file():
-        raise BakeError(f"World image {str(path)!r} is not a file: give a lat-long .exr or .hdr")
-    if image.suffix.lower() not in DECODED:
+    if not image.exists():
+        raise BakeError(f"World image {str(path)!r} does not exist: give an .exr or .hdr")
+    if image.is_file() and image.suffix.lower() not in DECODED:
         raise BakeError(f"World image {str(path)!r} is neither .exr nor .hdr: convert it first")
-    return WorldLight(LightSource(image=str(image)), _file_key(image))
+    return WorldLight(LightSource(image=str(image), may_be_cubemap=True), _file_key(image))
 
 
 def source(simple: SimpleWorld, folder: Path) -> LightSource:

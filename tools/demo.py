@@ -79,7 +79,7 @@ def _render(path: Path) -> np.ndarray:
     scene.render.image_settings.color_depth = "32"
     scene.render.filepath = str(path.absolute())
     bpy.ops.render.render(write_still=True)
-    return images.read(path)
+    return images.read(str(path))
 
 
 def _write_pictures(folder: Path, eevee: np.ndarray, cycles: np.ndarray) -> None:

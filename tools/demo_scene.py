@@ -34,7 +34,7 @@ def build(hdri: Path, turn_degrees: float) -> bpy.types.Scene:
         shape.location, shape.scale = place, (scale,) * 3
         shape.rotation_euler.z += math.radians(turn)
         shape.data.materials.append(_material(name, colour))
-        shape.select_set(True)
+    bpy.ops.object.select_all(action="SELECT")
     _world(scene, hdri, turn_degrees)
     _camera(scene)
     return scene
@@ -112,7 +112,6 @@ def _add_mesh(name: str, vertices: np.ndarray, faces: np.ndarray) -> bpy.types.O
     mesh.from_pydata(vertices, [], faces.tolist(), shade_flat=False)
     obj = bpy.data.objects.new(name, mesh)
     bpy.context.collection.objects.link(obj)
-    obj.select_set(True)
     return obj
 
 

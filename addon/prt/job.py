@@ -53,13 +53,15 @@ class LightSource:
     ``strength`` is radiance (W sr⁻¹ m⁻², linear Rec.709) where there is no image and a factor where
     there is one.  ``image`` is a lat-long .exr or .hdr on disk; ``pixels`` (H, W, 3) float32, top
     row first, stands in for one that is in memory.  ``rotation`` takes world directions to the
-    image's.
+    image's.  With ``may_be_cubemap`` a picture of a cross's or strip's shape, or a folder with the
+    faces px, nx, py, ny, pz and nz, is a cubemap; Blender's own worlds never are.
     """
 
     strength: Vector = (1.0, 1.0, 1.0)
     image: str | None = None
     pixels: Array | None = field(default=None, compare=False)
     rotation: tuple[Vector, Vector, Vector] = IDENTITY
+    may_be_cubemap: bool = False
 
 
 @dataclass(frozen=True)
@@ -261,7 +263,8 @@ def _read_light(values: dict[str, Any] | None, folder: Path) -> LightSource | No
     pixels = _load(folder, "image") if (folder / "image.npy").exists() else None
     rotation = tuple(tuple(row) for row in values["rotation"])
     strength = tuple(values["strength"])
-    return LightSource(strength, values["image"], pixels, rotation)  # type: ignore[arg-type]
+    may_be_cubemap = values["may_be_cubemap"]
+    return LightSource(strength, values["image"], pixels, rotation, may_be_cubemap)  # type: ignore[arg-type]
 
 
 def _read_receiver(folder: Path, i: int, values: dict[str, Any]) -> Receiver:

@@ -5,6 +5,7 @@ recoloured needs no new projection: ``world_sh`` does both.
 """
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,9 @@ import numpy.typing as npt
 from . import cubemap, images, lat_long, sh
 from .errors import BakeError
 from .job import LIGHT_ORDER, LightSource
+
+FACE_NAMES = ("px", "nx", "py", "ny", "pz", "nz")
+PICTURES = (".exr", ".hdr")
 
 Float = npt.NDArray[np.float64]
 Pixels = npt.NDArray[np.float32]
@@ -21,13 +25,16 @@ Pixels = npt.NDArray[np.float32]
 class Projected:
     """``image_sh`` (25, 3): coefficients of the picture, or of 1 where there is none (0 x 0).
 
-    ``repairs`` counts pixels by what was wrong with them: negative, nan, infinite.
+    ``is_cubemap`` says how the picture was read, ``width`` and ``height`` how large it is (one
+    face's, where six files hold the faces).  ``repairs`` counts pixels by what was wrong with
+    them: negative, nan, infinite.
     """
 
     image_sh: Float
     repairs: dict[str, int] = field(default_factory=dict)
     width: int = 0
     height: int = 0
+    is_cubemap: bool = False
 
 
 def project(source: LightSource) -> Projected:
@@ -35,24 +42,44 @@ def project(source: LightSource) -> Projected:
 
     BakeError where its file cannot be read or it has no pixels.
     """
-    pixels = source.pixels
-    if pixels is None and source.image is not None:
-        pixels = images.read(source.image)
+    pixels = _pixels(source)
     if pixels is None:
         return Projected(_constant())
     if not pixels.size:
         raise BakeError("The world's picture has no pixels")
     repaired, repairs = repair(np.asarray(pixels, np.float32))
-    height, width = repaired.shape[:2]
-    return Projected(project_picture(repaired, LIGHT_ORDER), repairs, width, height)
+    height, width = repaired.shape[-3:-1]
+    if repaired.ndim == 4:
+        image_sh, cubic = cubemap.project(repaired, LIGHT_ORDER), True
+    elif source.may_be_cubemap and cubemap.is_cubemap(height, width):
+        image_sh, cubic = cubemap.project(cubemap.to_faces(repaired), LIGHT_ORDER), True
+    else:
+        image_sh, cubic = lat_long.project(repaired, LIGHT_ORDER), False
+    return Projected(image_sh, repairs, width, height, cubic)
 
 
-def project_picture(pixels: Pixels, order: int) -> Float:
-    """Coefficients (n², 3) of a picture (H, W, 3): a cubemap where its shape is one's (4:3, 3:4,
-    6:1, 1:6), else lat-long whatever its shape."""
-    if cubemap.is_cubemap(*pixels.shape[:2]):
-        return cubemap.project(cubemap.to_faces(pixels), order)
-    return lat_long.project(pixels, order)
+def _pixels(source: LightSource) -> Pixels | None:
+    """(H, W, 3) of one picture, (6, N, N, 3) of a folder with six faces; None for a colour."""
+    if source.pixels is not None or source.image is None:
+        return source.pixels
+    if source.may_be_cubemap and Path(source.image).is_dir():
+        return _six_faces(Path(source.image))
+    return images.read(source.image)
+
+
+def _six_faces(folder: Path) -> Pixels:
+    """The faces px, nx, py, ny, pz, nz (.exr or .hdr) of ``folder``, as (6, N, N, 3)."""
+    faces = []
+    for name in FACE_NAMES:
+        found = [p for p in sorted(folder.iterdir()) if p.stem == name and p.suffix in PICTURES]
+        if not found:
+            raise BakeError(
+                f"The folder {folder} has no {name}.exr or {name}.hdr: it needs six faces"
+            )
+        faces.append(images.read(str(found[0])))
+    if len({face.shape for face in faces}) > 1 or faces[0].shape[0] != faces[0].shape[1]:
+        raise BakeError(f"The six faces in {folder} are not squares of one size")
+    return np.stack(faces)
 
 
 def world_sh(image_sh: npt.ArrayLike, strength: npt.ArrayLike, rotation: npt.ArrayLike) -> Float:

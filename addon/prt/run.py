@@ -153,8 +153,12 @@ def _repeated(points: Points) -> int:
 
 
 def _light_report(projected: light.Projected) -> dict[str, Any]:
-    size = {"width": projected.width, "height": projected.height}
-    return {**size, "repaired": projected.repairs}
+    return {
+        "projection": "cubemap" if projected.is_cubemap else "lat-long",
+        "width": projected.width,
+        "height": projected.height,
+        "repaired": projected.repairs,
+    }
 
 
 def _run_report(job: Job, meter: _Meter) -> dict[str, Any]:

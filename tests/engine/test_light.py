@@ -61,7 +61,7 @@ def test_a_picture_in_the_shape_of_a_cross_is_a_cubemap():
         part[:] = radiance(cubemap.directions(face, size))
     sphere = radiance(lat_long.directions(128, 256)).astype(np.float32)
     np.testing.assert_allclose(
-        light.project(LightSource(pixels=cross)).image_sh,
+        light.project(LightSource(pixels=cross, may_be_cubemap=True)).image_sh,
         light.project(LightSource(pixels=sphere)).image_sh,
         atol=2e-3,
     )
@@ -139,3 +139,23 @@ def test_huge_radiance_does_not_overflow():
     projected = light.project(LightSource(pixels=np.full((64, 128, 3), 3e38, np.float32)))
     expected = float(np.float32(3e38)) * np.sqrt(4 * np.pi)
     np.testing.assert_allclose(projected.image_sh[0], expected, rtol=1e-13)
+
+
+def test_blenders_worlds_are_lat_long_whatever_their_shape():
+    cross = np.random.default_rng(3).random((48, 64, 3), np.float32)
+    projected = light.project(LightSource(pixels=cross))
+    np.testing.assert_array_equal(projected.image_sh, lat_long.project(cross, 5))
+    assert not projected.is_cubemap
+
+
+def test_a_folder_of_six_faces_is_a_cubemap(tmp_path):
+    faces = np.random.default_rng(4).random((6, 16, 16, 3), np.float32)
+    for name, face in zip(light.FACE_NAMES, faces, strict=True):
+        images.write_exr(str(tmp_path / f"{name}.exr"), face)
+    source = LightSource(image=str(tmp_path), may_be_cubemap=True)
+    projected = light.project(source)
+    np.testing.assert_array_equal(projected.image_sh, cubemap.project(faces, 5))
+    assert projected.is_cubemap
+    (tmp_path / "ny.exr").unlink()
+    with pytest.raises(BakeError, match="ny"):
+        light.project(source)

@@ -86,12 +86,12 @@ def test_verify_sees_a_wrong_bake(job):
 def test_a_white_world_lights_an_open_white_plane_white():
     vertices, triangles = shapes.grid([0, 0, 0], [1, 0, 0], [0, 1, 0], 3)
     plane = shapes.receiver(vertices, triangles)
-    _, results = finish(run(jobs.Job("bake", light=jobs.LightSource(), receivers=(plane,),
-                                     occluder_vertices=vertices, occluder_triangles=triangles)))  # fmt: skip
-    exit_radiance = results.receivers[0].transfer[:, 0] @ results.image_sh[:9]
-    np.testing.assert_allclose(exit_radiance, 1, atol=1e-5)
-    np.testing.assert_allclose(results.receivers[0].transfer[:, 0], [sh.open_transfer(
-        [0, 0, 1.0], 3)] * 16, atol=1e-5)  # fmt: skip
+    white = jobs.Job("bake", jobs.Settings(), jobs.LightSource(), (plane,), vertices, triangles)
+    _, results = finish(run(white))
+    transfer = results.receivers[0].transfer[:, 0]
+    np.testing.assert_allclose(transfer @ results.image_sh[:9], 1, atol=1e-5)
+    expected = np.broadcast_to(sh.open_transfer([0, 0, 1.0], 3), transfer.shape)
+    np.testing.assert_allclose(transfer, expected, atol=1e-5)
 
 
 def test_a_missing_image_is_one_sentence_from_the_child():
