@@ -6,6 +6,7 @@ missing one (never baked) show the artist's shader.
 
 import json
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 
 import bpy
 
@@ -49,8 +50,12 @@ class Stamp:
 def read(obj: bpy.types.Object) -> Stamp | None:
     """The stamp of ``obj``; None where it was never baked, or by a version that we don't know."""
     text = obj.get(KEY)
-    if not isinstance(text, str):
-        return None
+    return _parse(text) if isinstance(text, str) else None
+
+
+@lru_cache(maxsize=1024)
+def _parse(text: str) -> Stamp | None:
+    """Kept, because handlers and panels ask at every change and every redraw."""
     values = json.loads(text)
     if values.get("version") != VERSION:
         return None

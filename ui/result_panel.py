@@ -74,8 +74,11 @@ def draw_figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     if not context.selected_objects and len(context.view_layer.objects) > CROWD:
         layout.label(text="Select a baked object to see its figures")
         return
-    objects = selection.baked_objects(context)[:CROWD]
-    stamps = selection.stamps([obj.name for obj in objects])
+    objects = selection.baked_objects(context)
+    if len(objects) > CROWD:
+        layout.label(text=f"{len(objects):,} baked objects")
+        return
+    stamps = [mark for mark in map(stamp.read, objects) if mark is not None]
     single = len(stamps) == 1
     column = layout.column(align=True)
     column.label(text=objects[0].name if single else "Together", icon="OBJECT_DATA")
