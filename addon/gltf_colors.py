@@ -73,7 +73,7 @@ def of(
     names = [attribute.name for attribute in attributes]
     index = attributes.render_color_index
     render = names[index] if index >= 0 else ""
-    first = settings["gltf_vertex_color_name"] or render
+    first = settings.get("gltf_vertex_color_name") or render  # Blender 4.3 has no such setting
     if not materials or any(m and not default_surface.is_ours(m) for m in materials):
         return Colors(names, first, None)
     wanted = sorted((name for name in names if not is_ours(name)), key=lambda name: name != first)
