@@ -28,14 +28,24 @@ def fill(obj: bpy.types.Object) -> None:
     obj[KEY] = filled
 
 
-def restore(obj: bpy.types.Object) -> None:
-    """Give ``obj`` the slots that it had; one that the artist has changed since stays his."""
-    for index, state in dict(obj.get(KEY, {})).items():
+def filled(obj: bpy.types.Object) -> frozenset[str]:
+    """The indices of the slots that ``fill`` has filled."""
+    return frozenset(obj.get(KEY, {}).keys())
+
+
+def restore(obj: bpy.types.Object, but: frozenset[str] = frozenset()) -> None:
+    """Give ``obj`` the slots that it had, all ``but`` some; one that the artist has changed since
+    stays his."""
+    states = dict(obj.get(KEY, {}))
+    for index in states.keys() - but:
+        state = states.pop(index)
         slot = obj.material_slots[int(index)] if int(index) < len(obj.material_slots) else None
         if slot is not None and slot.material == default_surface.material():
             slot.material = state.get("hidden")
             slot.link = state["link"]
-    if KEY in obj:
+    if states:
+        obj[KEY] = states
+    elif KEY in obj:
         del obj[KEY]
     _drop_slot(obj.data)
 
@@ -51,8 +61,9 @@ def _remember(slot: bpy.types.MaterialSlot) -> dict:
 
 def _drop_slot(mesh: bpy.types.Mesh) -> None:
     """Remove the slot that ``fill`` made, with the last object that needs it."""
-    needed = any(obj.data == mesh and KEY in obj for obj in bpy.data.objects)
-    if KEY in mesh and not needed:
-        del mesh[KEY]
-        if len(mesh.materials) == 1 and mesh.materials[0] is None:
-            mesh.materials.clear()  # pop leaves the slot on the objects
+    users = [obj for obj in bpy.data.objects if obj.data == mesh]
+    if KEY not in mesh or any(KEY in obj for obj in users):
+        return
+    del mesh[KEY]
+    if all(len(obj.material_slots) == 1 and has_empty(obj) for obj in users):
+        mesh.materials.clear()  # pop would leave the slot on the objects

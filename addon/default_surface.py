@@ -1,7 +1,7 @@
 """A surface for what has no shader nodes, so that it can show a bake.
 
-Cycles shows such materials, and faces without any, as diffuse; EEVEE and the glTF exporter as a
-Principled BSDF.  Both stay so.
+Before 5.0, Cycles shows such materials, and faces without any, as diffuse, and EEVEE and the glTF
+exporter as a Principled BSDF.  From 5.0 on there are only faces without any, Principled everywhere.
 """
 
 import bpy
@@ -9,6 +9,8 @@ import bpy
 from .material_plan import SURFACE, TAG
 
 NAME = "PRT Default"
+PRINCIPLED = ("ALL", "ShaderNodeBsdfPrincipled")
+DIFFUSE = ("CYCLES", "ShaderNodeBsdfDiffuse")
 GREY = (0.8, 0.8, 0.8, 1.0)  # Blender's surface of a face without a material
 
 
@@ -63,7 +65,7 @@ def _build(
 ) -> None:
     rgb = tree.nodes.new("ShaderNodeRGB")
     rgb.outputs[0].default_value = colour
-    shaders = (("ALL", "ShaderNodeBsdfPrincipled"), ("CYCLES", "ShaderNodeBsdfDiffuse"))
+    shaders = [PRINCIPLED] if bpy.app.version >= (5, 0) else [PRINCIPLED, DIFFUSE]
     made = [rgb]
     for row, (target, kind) in enumerate(shaders):
         shader, output = tree.nodes.new(kind), tree.nodes.new("ShaderNodeOutputMaterial")

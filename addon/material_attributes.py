@@ -54,9 +54,9 @@ def _behind(node: bpy.types.Node, seen: set[bpy.types.Node]) -> Iterator[Attribu
 def _read_by(node: bpy.types.Node) -> Iterator[Attribute]:
     """The attributes that ``node`` reads itself."""
     kind = node.bl_idname
-    if kind == "ShaderNodeTexImage" and not node.inputs["Vector"].is_linked:
+    if kind == "ShaderNodeTexImage" and not _is_mapped(node):
         yield UV
-    elif kind in GENERATED_UNLESS_LINKED and not node.inputs["Vector"].is_linked:
+    elif kind in GENERATED_UNLESS_LINKED and not _is_mapped(node):
         yield GENERATED
     elif kind == "ShaderNodeTexCoord":
         yield UV
@@ -67,6 +67,11 @@ def _read_by(node: bpy.types.Node) -> Iterator[Attribute]:
         yield from [("tangent", "")] * (node.space == "TANGENT")
     else:
         yield from _named_by(node)
+
+
+def _is_mapped(texture: bpy.types.Node) -> bool:
+    """Whether its coordinates are linked; a physical sky has no such input."""
+    return any(socket.is_linked for socket in texture.inputs if socket.name == "Vector")
 
 
 def _named_by(node: bpy.types.Node) -> Iterator[Attribute]:

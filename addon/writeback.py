@@ -2,10 +2,20 @@
 
 from contextlib import ExitStack
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 
-from . import attributes, carrier, default_slots, material_attributes, materials, nodes, stamp
+from . import (
+    attributes,
+    carrier,
+    default_slots,
+    default_surface,
+    material_attributes,
+    materials,
+    nodes,
+    stamp,
+)
 from .prt import layout as layouts
 from .prt.errors import BakeError
 from .prt.job import ReceiverResult
@@ -29,6 +39,16 @@ def check(scene: bpy.types.Scene, objects: list[bpy.types.Object], layout: Layou
                 )
             layouts.check(layout, len(material_attributes.of(material)), material.name)
     _check_shared(objects, layout, depsgraph)
+
+
+def notes(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> list[str]:
+    """What the artist should know of his materials, one sentence each."""
+    found = _materials_of(objects, carrier.depsgraph_of(scene))
+    return [
+        f"Material {name!r} keeps its own look: it has no Principled or Diffuse BSDF outside of a "
+        "group that could show the bake"
+        for name in materials.without_bake(found)
+    ]
 
 
 def write(scene: bpy.types.Scene, baked: list[Baked], layout: Layout) -> None:
@@ -79,7 +99,7 @@ def _prepare(
 
 def _write_object(undo: ExitStack, one: _Prepared) -> None:
     obj, mesh = one.obj, one.obj.data
-    undo.callback(_restore, obj, attributes.take(mesh), carrier.of(obj), dict(obj.items()))
+    undo.callback(_restore, obj, attributes.take(mesh), carrier.of(obj), _marks(obj))
     if one.holder is None:
         carrier.disconnect(obj)
         attributes.put(mesh, one.stored)
@@ -87,7 +107,7 @@ def _write_object(undo: ExitStack, one: _Prepared) -> None:
         carrier.connect(obj, one.holder)
         if not _held_by_mesh(mesh, obj):
             attributes.remove(mesh)
-    undo.callback(default_slots.restore, obj)
+    undo.callback(default_slots.restore, obj, default_slots.filled(obj))
     default_slots.fill(obj)
     stamp.write(obj, one.stamp)
 
@@ -96,7 +116,7 @@ def _restore(
     obj: bpy.types.Object,
     stored: attributes.Stored,
     holder: bpy.types.Object | None,
-    properties: dict,
+    marks: dict[str, Any],
 ) -> None:
     """Back to what ``obj`` was before."""
     attributes.put(obj.data, stored)
@@ -105,9 +125,12 @@ def _restore(
     else:
         carrier.connect(obj, holder)
     stamp.remove(obj)
-    for key in (stamp.KEY, stamp.SWITCH):
-        if key in properties:
-            obj[key] = properties[key]
+    for key, value in marks.items():
+        obj[key] = value
+
+
+def _marks(obj: bpy.types.Object) -> dict[str, Any]:
+    return {key: obj[key] for key in (stamp.KEY, stamp.SWITCH) if key in obj}
 
 
 def _attach(undo: ExitStack, material: bpy.types.Material, layout: Layout) -> None:
@@ -122,6 +145,7 @@ def _attach(undo: ExitStack, material: bpy.types.Material, layout: Layout) -> No
 def _free_unused() -> None:
     carrier.free_unused()
     nodes.free_unused()
+    default_surface.free_unused()
 
 
 def _held_by_mesh(mesh: bpy.types.Mesh, but: bpy.types.Object) -> bool:

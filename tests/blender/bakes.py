@@ -41,6 +41,41 @@ def shader(material):
     return next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED")
 
 
+def add(material, kind, **inputs):
+    """A new node, ``ShaderNode`` and ``kind``, with values for its inputs."""
+    node = material.node_tree.nodes.new(f"ShaderNode{kind}")
+    for name, value in inputs.items():
+        node.inputs[name].default_value = value
+    return node
+
+
+def output_of(material):
+    """The artist's output."""
+    return next(n for n in material.node_tree.nodes if n.type == "OUTPUT_MATERIAL")
+
+
+def link(material, source, target):
+    """Join two sockets."""
+    material.node_tree.links.new(source, target)
+
+
+def full(count):
+    """A material that reads ``count`` attributes of its own, which are all black."""
+    material = principled("Full")
+    total = None
+    for k in range(count):
+        attribute, term = add(material, "Attribute"), add(material, "VectorMath")
+        attribute.attribute_name = f"Own {k}"
+        term.operation = "ADD"
+        term.inputs[1].default_value = (0.5, 0.5, 0.5)
+        link(material, attribute.outputs["Color"], term.inputs[0])
+        if total is not None:
+            link(material, total, term.inputs[1])
+        total = term.outputs[0]
+    link(material, total, shader(material).inputs["Base Color"])
+    return material
+
+
 def random_bake(obj, layout, domain="POINT", seed=0):
     """A bake of random transfer for every vertex or corner of ``obj``."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
@@ -51,6 +86,14 @@ def random_bake(obj, layout, domain="POINT", seed=0):
     transfer[:, :, 0] = rng.uniform(0.8, 1.2, (count, layout.channels))
     result = ReceiverResult(obj.name, transfer.astype(np.float32), np.arange(count, dtype=np.int32))
     return obj, result, stamp_for(obj, layout, domain)
+
+
+def constant_bake(obj, layout):
+    """A bake of the constant light only: exit radiance is the light's first coefficient."""
+    obj, result, stamp = random_bake(obj, layout)
+    result.transfer[:] = 0
+    result.transfer[:, :, 0] = 1
+    return obj, result, stamp
 
 
 def stamp_for(obj, layout, domain):
