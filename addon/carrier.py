@@ -27,6 +27,16 @@ def needs_modifier(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> boo
         return not np.array_equal(_topology(mesh), _topology(shown))
 
 
+def ends_adaptive_subdivision(obj: bpy.types.Object) -> bool:
+    """Whether Cycles dices ``obj`` now, and will not behind our modifier: it asks the last one."""
+    others = [m for m in obj.modifiers if not carrier_nodes.is_ours(m)]
+    if not others or others[-1].type != "SUBSURF":
+        return False
+    if bpy.app.version >= (5, 0):
+        return others[-1].use_adaptive_subdivision
+    return "cycles" in obj and bool(obj.cycles.use_adaptive_subdivision)
+
+
 def make(
     obj: bpy.types.Object,
     depsgraph: bpy.types.Depsgraph,

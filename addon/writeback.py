@@ -42,12 +42,16 @@ def check(scene: bpy.types.Scene, objects: list[bpy.types.Object], layout: Layou
 
 
 def notes(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> list[str]:
-    """What the artist should know of his materials, one sentence each."""
+    """What the artist should know beforehand, one sentence each."""
     found = _materials_of(objects, carrier.depsgraph_of(scene))
     return [
         f"Material {name!r} keeps its own look: it has no Principled or Diffuse BSDF outside of a "
         "group that could show the bake"
         for name in materials.without_bake(found)
+    ] + [
+        f"Cycles will not subdivide {obj.name!r} adaptively while it is baked"
+        for obj in objects
+        if carrier.ends_adaptive_subdivision(obj)
     ]
 
 

@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 from bakes import place, quad, random_bake, write
+from pictures import colour, look_down, render
 from prt_baker.addon import attributes, carrier, stamp, writeback
 from prt_baker.addon.prt.layout import Layout
 
@@ -170,3 +171,33 @@ def test_carriers_survive_save_and_load(scene, tmp_path):
     obj = bpy.data.objects["Quad"]
     np.testing.assert_array_equal(attributes.read(obj, stamp.read(obj)), result.transfer)
     np.testing.assert_array_equal(shown(obj)[:, :9], result.transfer[:, 0])
+
+
+def test_cycles_shows_the_same_picture(scene, tmp_path):
+    """Exactly, except where objects no longer share one mesh: Cycles then traces them as several,
+    and rounds differently."""
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    sun.rotation_euler = 0.5, 0.5, 0
+    scene.collection.objects.link(sun)
+    look_down(scene, 6, 2)
+    alone = subdivided(scene)
+    shared = quad(scene, 2, 0)
+    turned = place(scene, shared.data, 4, 0)
+    turned.rotation_euler = 0.3, 0.2, 0.1
+    before = colour(render(scene, tmp_path, "CYCLES"), "Combined")
+    write(scene, LAYOUT, alone, shared, turned)
+    after = colour(render(scene, tmp_path, "CYCLES"), "Combined")
+    assert before.max() > 0.1
+    np.testing.assert_array_equal(after[:, :20], before[:, :20])
+    np.testing.assert_allclose(after, before, atol=1e-4)
+
+
+def test_adaptive_subdivision_is_told(scene):
+    obj = subdivided(scene)
+    assert not writeback.notes(scene, [obj])
+    if bpy.app.version >= (5, 0):
+        obj.modifiers[0].use_adaptive_subdivision = True
+    else:
+        obj.cycles.use_adaptive_subdivision = True
+    [note] = writeback.notes(scene, [obj])
+    assert note == "Cycles will not subdivide 'Quad' adaptively while it is baked"
