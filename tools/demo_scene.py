@@ -10,10 +10,10 @@ import numpy as np
 GROUND = (0.5, 0.46, 0.4)
 SHAPES = {  # name: (colour, place, turn about z in degrees, scale)
     "Suzanne": ((0.7, 0.22, 0.06), (0.0, 0.1, 0.99), 12, 1.0),
-    "Torus": ((0.05, 0.2, 0.5), (1.95, -1.25, 0.28), 0, 0.7),
-    "Ball": ((0.62, 0.5, 0.08), (-1.45, -1.5, 0.42), 0, 0.42),
-    "Pawn": ((0.55, 0.55, 0.55), (-2.3, 0.6, 0.0), 0, 1.0),
-    "Crate": ((0.16, 0.38, 0.14), (2.2, 1.2, 0.6), 27, 1.2),
+    "Torus": ((0.05, 0.2, 0.5), (1.95, -1.25, 0.283), 0, 0.7),
+    "Ball": ((0.62, 0.5, 0.08), (-1.45, -1.5, 0.423), 0, 0.42),
+    "Pawn": ((0.55, 0.55, 0.55), (-2.3, 0.6, 0.003), 0, 1.0),
+    "Crate": ((0.16, 0.38, 0.14), (2.2, 1.2, 0.603), 27, 1.2),
 }
 PAWN = (  # radius and height of its profile
     (0.62, 0.0), (0.64, 0.1), (0.6, 0.22), (0.46, 0.3), (0.34, 0.5), (0.26, 0.9), (0.23, 1.3),
@@ -35,7 +35,7 @@ def build(hdri: Path, turn_degrees: float) -> bpy.types.Scene:
         shape.rotation_euler.z += math.radians(turn)
         shape.data.materials.append(_material(name, colour))
     bpy.ops.object.select_all(action="SELECT")
-    _world(scene, hdri, turn_degrees)
+    add_world(scene, hdri, turn_degrees)
     _camera(scene)
     return scene
 
@@ -126,7 +126,8 @@ def _material(name: str, colour: tuple[float, float, float]) -> bpy.types.Materi
     return material
 
 
-def _world(scene: bpy.types.Scene, hdri: Path, turn_degrees: float) -> None:
+def add_world(scene: bpy.types.Scene, hdri: Path, turn_degrees: float) -> None:
+    """Light ``scene`` by ``hdri``, turned about Z."""
     world = bpy.data.worlds.new("World")
     if world.node_tree is None:
         world.use_nodes = True

@@ -93,23 +93,29 @@ def frames(normals: npt.ArrayLike, azimuth: npt.ArrayLike) -> Frames:
     return Frames(*(v.astype(np.float32) for v in values))
 
 
-class SetInWorld:
-    """World directions of a local set for many frames, as one product.
+class RaysInWorld:
+    """The rays of many points as two products, ray by ray as Embree reads them.
 
-    Row p of the (P, 9) matrices times a (9, 3N) arrangement of the set gives the N directions of
-    point p, ray by ray as Embree reads them.
+    Row p of the (P, 9) frames times a (9, 3N) arrangement of the set gives the N directions of
+    point p; row p of the (P, 3) origins times N identities side by side repeats its origin.  Both
+    cost a tenth of what numpy's broadcasting costs for rows of three.
     """
 
     def __init__(self, directions: Array) -> None:
-        self.count = len(directions)
-        arranged = np.zeros((3, 3, self.count, 3), np.float32)
+        count = len(directions)
+        arranged = np.zeros((3, 3, count, 3), np.float32)
         for c in range(3):
             arranged[c, :, :, c] = directions.T
-        self._arranged = arranged.reshape(9, 3 * self.count)
+        self._arranged = arranged.reshape(9, 3 * count)
+        self._repeat = np.tile(np.eye(3, dtype=np.float32), count)
 
-    def __call__(self, matrices: Array, out: Array) -> None:
-        """Directions of ``matrices`` (P, 3, 3) into ``out`` (P * N, 3)."""
+    def directions(self, matrices: Array, out: Array) -> None:
+        """Directions of frames (P, 3, 3) into ``out`` (P * N, 3)."""
         np.matmul(matrices.reshape(-1, 9), self._arranged, out=out.reshape(len(matrices), -1))
+
+    def origins(self, origins: Array, out: Array) -> None:
+        """``origins`` (P, 3), each N times, into ``out`` (P * N, 3)."""
+        np.matmul(origins, self._repeat, out=out.reshape(len(origins), -1))
 
 
 class Turn:

@@ -6,14 +6,14 @@ radiance of a white surface, so 1/pi is inside and the surface's albedo is not.
 
 import os
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from .hemisphere import Frames, SetInWorld, Turn, frames, hemisphere_set
+from .hemisphere import RaysInWorld, Turn, frames, hemisphere_set
 from .job import Settings
 from .points import Points
 from .rays import Occlusion
@@ -21,50 +21,61 @@ from .rays import Occlusion
 Array = npt.NDArray[np.float32]
 
 BATCH_RAYS = 32768
+BATCHES_PER_PART = 16
 PILOT_POINTS = 1024
 ERROR_OF_DIFFERENCE = 0.325  # of |T(N) - T(N/4)|, pooled: within 10 % of the true error of T(N)
 
 
 class Tracer:
-    """Fills transfer vectors for batches of points.  One product makes a batch's directions, one
-    Embree call its visibility, one product its local coefficients."""
+    """Fills transfer vectors of parts of the points.
+
+    For a batch of points two products make the rays, one Embree call finds their visibility, and
+    one product sums the local coefficients; a part of many batches is turned to world axes at once.
+    """
 
     def __init__(self, points: Points, occlusion: Occlusion, settings: Settings) -> None:
         self.points, self._occlusion, self.rays = points, occlusion, settings.rays
         random = np.random.default_rng([settings.seed, settings.rays])
         self._azimuth = random.random(len(points.origins)) * (2 * np.pi)
         directions = hemisphere_set(settings.rays, settings.order)
-        self._in_world = SetInWorld(directions.directions)
+        self._in_world = RaysInWorld(directions.directions)
         self._clear_weights = -directions.weights  # the mask's -1 is clear
         self._turn = Turn(settings.order)
+        self._batch = max(1, BATCH_RAYS // settings.rays)
         self._buffers = threading.local()
 
-    def batches(self, size: int) -> list[slice]:
-        """Slices of ``size`` points."""
-        count = len(self.points.origins)
-        return [slice(start, min(start + size, count)) for start in range(0, count, size)]
+    def parts(self) -> list[slice]:
+        """Slices of the points, each of some batches."""
+        size = self._batch * BATCHES_PER_PART
+        return list(_slices(0, len(self.points.origins), size))
 
     def trace(self, part: slice, out: Array) -> None:
         """Transfer of the points of ``part`` into ``out`` (P, n²)."""
-        count = part.stop - part.start
-        origins, directions = self._buffer(count)
-        local = self._frames(part)
-        origins.reshape(count, self.rays, 3)[:] = self.points.origins[part, None]
-        self._in_world(local.matrices(), directions)
-        mask = self._occlusion.sky_mask(origins, directions).reshape(count, self.rays)
-        out[part] = self._turn(local, mask.astype(np.float32) @ self._clear_weights)
+        local = frames(self.points.normals[part], self._azimuth[part])
+        matrices = local.matrices()
+        for batch in _slices(part.start, part.stop, self._batch):
+            inside = slice(batch.start - part.start, batch.stop - part.start)
+            out[batch] = self._trace_batch(self.points.origins[batch], matrices[inside])
+        out[part] = self._turn(local, out[part])
 
-    def _frames(self, part: slice) -> Frames:
-        return frames(self.points.normals[part], self._azimuth[part])
+    def _trace_batch(self, starts: Array, matrices: Array) -> Array:
+        """Local coefficients (P, n²) of points at ``starts`` (P, 3) with frames (P, 3, 3)."""
+        origins, directions = self._buffer(len(starts))
+        self._in_world.origins(starts, origins)
+        self._in_world.directions(matrices, directions)
+        mask = self._occlusion.sky_mask(origins, directions).reshape(len(starts), self.rays)
+        return mask.astype(np.float32) @ self._clear_weights
 
     def _buffer(self, count: int) -> tuple[Array, Array]:
         """Two (count * rays, 3) arrays of this thread."""
-        needed = count * self.rays
-        if getattr(self._buffers, "size", 0) < needed:
-            self._buffers.arrays = np.empty((2, needed, 3), np.float32)
-            self._buffers.size = needed
-        first, second = self._buffers.arrays[:, :needed]
-        return first, second
+        if not hasattr(self._buffers, "arrays"):
+            self._buffers.arrays = np.empty((2, self._batch * self.rays, 3), np.float32)
+        origins, directions = self._buffers.arrays[:, : count * self.rays]
+        return origins, directions
+
+
+def _slices(start: int, stop: int, size: int) -> Iterator[slice]:
+    return (slice(i, min(i + size, stop)) for i in range(start, stop, size))
 
 
 def trace_all(
@@ -75,11 +86,12 @@ def trace_all(
     The same bits for any number of threads: batches don't depend on it.
     """
     tracer = Tracer(points, occlusion, settings)
-    parts = tracer.batches(max(1, BATCH_RAYS // settings.rays))
     cast = 0
     pool = ThreadPoolExecutor(settings.threads or available_cores())
     try:
-        pending: set[Future[int]] = {pool.submit(_trace, tracer, part, out) for part in parts}
+        pending: set[Future[int]] = {
+            pool.submit(_trace, tracer, part, out) for part in tracer.parts()
+        }
         while pending:
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
             cast += sum(future.result() for future in done)

@@ -79,9 +79,9 @@ def torus_knot(rows=600, columns=24, radius=0.28):
     return vertices, triangles, normals.reshape(-1, 3)
 
 
-def knot_scene():
+def knot_scene(rows=600, columns=24):
     """The torus knot over a floor and before a wall: receiver, occluder vertices, triangles."""
-    vertices, triangles, normals = torus_knot()
+    vertices, triangles, normals = torus_knot(rows, columns)
     floor = grid([-2.5, -2.5, -1], [5, 0, 0], [0, 5, 0], 100)
     wall = grid([-2.5, 1.9, -1], [5, 0, 0], [0, 0, 4], 80)
     everything = join((vertices, triangles), floor, wall)

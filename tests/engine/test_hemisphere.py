@@ -35,13 +35,17 @@ def test_turn_is_the_rotation_of_the_basis(order):
     np.testing.assert_allclose(turned, expected, atol=2e-6)
 
 
-def test_world_directions_are_the_set_in_each_frame():
+def test_rays_are_the_set_in_each_frame_from_each_origin():
     _, frames = random_frames(10)
     local = hemisphere.hemisphere_set(64, 3).directions
     out = np.empty((640, 3), np.float32)
-    hemisphere.SetInWorld(local)(frames.matrices(), out)
+    in_world = hemisphere.RaysInWorld(local)
+    in_world.directions(frames.matrices(), out)
     expected = np.einsum("pca,ja->pjc", frames.matrices(), local).reshape(-1, 3)
     np.testing.assert_allclose(out, expected, atol=1e-6)
+    origins = np.random.default_rng(2).normal(size=(10, 3)).astype(np.float32)
+    in_world.origins(origins, out)
+    np.testing.assert_array_equal(out, np.repeat(origins, 64, axis=0))
 
 
 @pytest.mark.parametrize("order", [2, 3, 5])

@@ -1,0 +1,86 @@
+"""The rate of whole bakes beside a bare embreex loop over the same rays.
+
+Both use the same threads, robust flag and order of rays, and take turns in one run.  The bake is
+the engine's whole run in its own process: start, job and results on disk, points, acceleration
+structure, rays, error estimate.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from prt_baker.addon import engine
+from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt.hemisphere import RaysInWorld, frames, hemisphere_set
+from prt_baker.addon.prt.points import distinct_points
+from prt_baker.addon.prt.rays import Occlusion, occlusion
+from prt_baker.addon.prt.transfer import BATCH_RAYS, available_cores
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "engine"))
+import shapes
+
+Rays = tuple[np.ndarray, np.ndarray]
+
+
+def knot_job(rows: int, columns: int, rays: int) -> jobs.Job:
+    """The torus knot over floor and wall, with ``rows * columns`` points."""
+    receiver, vertices, triangles = shapes.knot_scene(rows, columns)
+    settings = jobs.Settings(rays=rays)
+    return jobs.Job("bake", settings, jobs.LightSource(), (receiver,), vertices, triangles)
+
+
+def same_rays(job: jobs.Job) -> Rays:
+    """Every ray of the bake, origins and directions, in its order."""
+    points = distinct_points(job.receivers[0])
+    count, rays = len(points.origins), job.settings.rays
+    random = np.random.default_rng([job.settings.seed, rays])
+    local = frames(points.normals, random.random(count) * 2 * np.pi)
+    directions = np.empty((count * rays, 3), np.float32)
+    in_world = RaysInWorld(hemisphere_set(rays, job.settings.order).directions)
+    in_world.directions(local.matrices(), directions)
+    return np.repeat(points.origins, rays, axis=0), directions
+
+
+def bare_loop(sky: Occlusion, rays: Rays, threads: int) -> float:
+    """Seconds that embreex alone takes for ``rays``."""
+    origins, directions = rays
+    parts = [slice(i, i + BATCH_RAYS) for i in range(0, len(origins), BATCH_RAYS)]
+    start = time.perf_counter()
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(lambda part: sky.sky_mask(origins[part], directions[part]), parts))
+    return time.perf_counter() - start
+
+
+def whole_bake(job: jobs.Job) -> float:
+    """Seconds from the job's arrays to the results' arrays."""
+    start = time.perf_counter()
+    with engine.job_folder() as folder:
+        for _ in engine.run(job, folder):
+            pass
+    return time.perf_counter() - start
+
+
+def main() -> None:
+    """Print both rates and their ratio, medians of several turns."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--rays", type=int, default=256)
+    asked = parser.parse_args()
+    job = knot_job(2200, 48, asked.rays)
+    rays, sky = same_rays(job), occlusion(job.occluder_vertices, job.occluder_triangles)
+    threads = available_cores()
+    turns = [(bare_loop(sky, rays, threads), whole_bake(job)) for _ in range(asked.turns)]
+    count = len(rays[0]) / 1e6
+    bare, whole = (statistics.median(column) for column in zip(*turns, strict=True))
+    ratio = statistics.median(b / w for b, w in turns)
+    print(f"{count:.1f} M rays, {len(job.occluder_triangles):,} triangles, {threads} threads")
+    print(f"bare embreex loop {count / bare:.2f} Mrays/s, whole bake {count / whole:.2f} Mrays/s")
+    print(f"ratio {ratio:.2f} (median of {asked.turns} turns)")
+
+
+if __name__ == "__main__":
+    main()
