@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Matrix
-from meshes import MIRRORED, SHEARED, TURNED, ball, cube, geometric_normals, place
+from meshes import MIRRORED, SHEARED, TURNED, ball, cube, geometric_normals, place, receiver_of
 
 
 @pytest.mark.parametrize("matrix", [Matrix(), MIRRORED, SHEARED, TURNED])
