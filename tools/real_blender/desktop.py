@@ -131,14 +131,20 @@ class RealBlender:
             assert done.returncode == 0, done.stderr
         return np.frombuffer(raw.read_bytes(), np.uint8).reshape(SIZE[1], SIZE[0], 3)
 
+    def canvas(self, picture: np.ndarray) -> np.ndarray:
+        """The part of a screenshot where the 3D view shows the scene, left of the sidebar."""
+        state = self.state()
+        left, top, _, height = state["window"]
+        return crop(picture, [left, top + 60, state["sidebar"][0] - left, height - 60])
+
     def settled(self, name: str, unlike: np.ndarray | None = None) -> np.ndarray:
-        """A screenshot of a screen that changes no more, and that has left ``unlike`` behind."""
+        """A screenshot that changes no more; of a scene that looks other than in ``unlike``."""
         end = time.monotonic() + 180
         before = self.screenshot(name)
         while time.monotonic() < end:
             time.sleep(3)
             now = self.screenshot(name)
-            new = unlike is None or difference(now, unlike) > 0.5
+            new = unlike is None or difference(self.canvas(now), self.canvas(unlike)) > 1
             if new and difference(now, before) < 0.02:
                 return now
             before = now

@@ -25,18 +25,34 @@ def build():
     bpy.ops.object.select_all(action="SELECT")
     bpy.ops.object.delete()
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=160, y_subdivisions=160, size=8)
-    bpy.ops.mesh.primitive_monkey_add(location=(0, 0, 0.98), rotation=(-0.62, 0, 0))
+    paint("Ground", (0.5, 0.5, 0.5))
+    bpy.ops.mesh.primitive_monkey_add(rotation=(-0.62, 0, 0.3))
     bpy.ops.object.shade_smooth()
     bpy.context.object.modifiers.new("Subdivision", "SUBSURF").levels = 2
+    put_down(bpy.context.object)
+    paint("Clay", (0.7, 0.3, 0.18))
     bpy.ops.mesh.primitive_cylinder_add(radius=0.3, depth=3, location=(-1.9, 0.9, 1.5))
-    grey = bpy.data.materials.new("Grey")
-    grey.use_nodes = True
-    grey.node_tree.nodes["Principled BSDF"].inputs["Roughness"].default_value = 1
-    for obj in bpy.context.scene.objects:
-        obj.data.materials.append(grey)
+    paint("Stone", (0.25, 0.4, 0.6))
     bpy.ops.object.select_all(action="DESELECT")
-    light("sunset")
+    light("courtyard")
     bpy.context.scene.prt.rays = RAYS
+
+
+def put_down(obj):
+    """Let ``obj`` touch the ground."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    mesh = obj.evaluated_get(depsgraph).data
+    obj.location.z -= min((obj.matrix_world @ vertex.co).z for vertex in mesh.vertices)
+
+
+def paint(name, colour):
+    """Give the object just made a dull material of its own."""
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    inputs = material.node_tree.nodes["Principled BSDF"].inputs
+    inputs["Base Color"].default_value = (*colour, 1)
+    inputs["Roughness"].default_value = 1
+    bpy.context.object.data.materials.append(material)
 
 
 def light(name):
@@ -68,8 +84,8 @@ def show():
     space.show_region_ui = True
     space.overlay.show_overlays = False
     space.show_gizmo = False
-    space.region_3d.view_distance = 9
-    space.region_3d.view_location = (0, 0, 0.8)
+    space.region_3d.view_distance = 6.5
+    space.region_3d.view_location = (0.6, 0, 0.7)
 
 
 def render():
