@@ -23,6 +23,10 @@ class Occlusion(Protocol):
         """For rays (R, 3), (R, 3): CLEAR (-1) where the sky is reached, else BLOCKED (0)."""
         ...
 
+    def meets_back(self, origins: Vectors, directions: Vectors) -> npt.NDArray[np.bool_]:
+        """For rays (R, 3), (R, 3): whether the first thing met is the back of a triangle."""
+        ...
+
 
 class Sky:
     """Nothing is hit."""
@@ -31,6 +35,10 @@ class Sky:
         """CLEAR for every ray."""
         return np.full(len(directions), CLEAR, np.int32)
 
+    def meets_back(self, origins: Vectors, directions: Vectors) -> npt.NDArray[np.bool_]:  # noqa: ARG002 - no shape
+        """No ray meets the back of anything."""
+        return np.zeros(len(directions), bool)
+
 
 class Lid:
     """Everything is hit."""
@@ -38,6 +46,10 @@ class Lid:
     def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:  # noqa: ARG002 - no shape
         """BLOCKED for every ray."""
         return np.full(len(directions), BLOCKED, np.int32)
+
+    def meets_back(self, origins: Vectors, directions: Vectors) -> npt.NDArray[np.bool_]:  # noqa: ARG002 - no shape
+        """No ray meets the back of anything."""
+        return np.zeros(len(directions), bool)
 
 
 class _Failures(logging.Handler):
@@ -85,6 +97,12 @@ class Triangles:
         """What Embree's occlusion query finds; releases the interpreter's lock."""
         mask: Mask = self._scene.run(origins, directions, query="OCCLUDED")
         return mask
+
+    def meets_back(self, origins: Vectors, directions: Vectors) -> npt.NDArray[np.bool_]:
+        """From Embree's geometric normals of what is met first."""
+        hits = self._scene.run(origins, directions, query="INTERSECT", output=True)
+        along = np.einsum("rc,rc->r", np.asarray(hits["Ng"]), directions)
+        return np.asarray((hits["primID"] >= 0) & (along > 0))
 
 
 def occlusion(vertices: npt.ArrayLike, triangles: npt.ArrayLike) -> Occlusion:

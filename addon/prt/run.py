@@ -12,7 +12,8 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from . import VERSION, light
-from .job import Job, Progress, ReceiverResult, Results, Settings, content_hash
+from .buried import buried, fill
+from .job import Job, Progress, Receiver, ReceiverResult, Results, Settings, content_hash
 from .points import Points, distinct_points
 from .rays import Occlusion, occlusion
 from .transfer import estimate_error, trace_all
@@ -95,7 +96,7 @@ def _transfer(
         shown = receiver
         if job.kind == "bake":
             result = yield from _bake(
-                receiver.name, its_points, sky, job.settings, meter=meter, entry=entry
+                receiver, its_points, sky, job.settings, meter=meter, entry=entry
             )
             results.append(result)
             shown = replace(receiver, transfer=result.element_transfer())
@@ -109,7 +110,7 @@ def _transfer(
 
 
 def _bake(
-    name: str,
+    receiver: Receiver,
     points: Points,
     sky: Occlusion,
     settings: Settings,
@@ -125,11 +126,14 @@ def _bake(
         yield from meter.follow("transfer", trace_all(points, sky, settings, transfer))
     with meter.phase("estimate"):
         error, pilot_rays = estimate_error(points, sky, settings, transfer)
+        hidden = buried(points.origins, points.normals, transfer, sky)
+        fill(points, receiver, transfer, hidden)
     spent = {k: meter.seconds[k] - before.get(k, 0.0) for k in ("transfer", "estimate")}
     rays = count * settings.rays
     entry.update(
         points=count,
         elements=len(points.element_points),
+        buried_points=int(hidden.sum()),
         rays=rays + pilot_rays,
         skipped={"the same position and normal": _repeated(points) * settings.rays},
         seconds=spent,
@@ -137,7 +141,7 @@ def _bake(
         estimated_error=error,
         measured_error=None,
     )
-    return ReceiverResult(name, transfer[:, None], points.element_points)
+    return ReceiverResult(receiver.name, transfer[:, None], points.element_points)
 
 
 def _rays_expected(job: Job, points: list[Points]) -> int:

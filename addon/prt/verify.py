@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import sh
+from .buried import buried
 from .hemisphere import cosine_fibonacci, frames
 from .job import Receiver, Settings
 from .points import Points, Surface, element_triangles, lift, surface_bias
@@ -89,7 +90,8 @@ def measure(
 ) -> Generator[int, None, Measured]:
     """Trace ``verify_points`` random points of the surface, and as many of the baked ones, again.
 
-    Yields the rays cast so far; the errors are the generator's value.
+    Yields the rays cast so far; the errors are the generator's value.  Points inside of other
+    things, which nobody sees, don't count.
     """
     assert receiver.transfer is not None
     count = settings.verify_points
@@ -102,8 +104,10 @@ def measure(
     yield from brute_force(origins, normals, occlusion, settings, reference)
     shown = np.concatenate([surface.shown, baked])
     expected = np.repeat(reference[:, None], shown.shape[1], axis=1)
-    on_surface = relative_rms(shown[:count], expected[:count])
-    at_points = relative_rms(shown[count:], expected[count:])
+    seen = ~buried(origins.astype(np.float32), normals.astype(np.float32), reference, occlusion)
+    where = np.arange(len(origins)) < count
+    on_surface = relative_rms(shown[seen & where], expected[seen & where])
+    at_points = relative_rms(shown[seen & ~where], expected[seen & ~where])
     return Measured(at_points, on_surface, len(origins), len(origins) * settings.verify_rays)
 
 

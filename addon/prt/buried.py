@@ -1,0 +1,59 @@
+"""Points inside of other things: a floor's vertices under a crate.
+
+Nothing sees them, but the triangles that cross the crate's side show a mix of them and of their
+neighbours outside: a dark saw-tooth along every object that stands on something.  So the buried
+points next to sound ones take their neighbours' mean instead.
+"""
+
+from math import pi
+
+import numpy as np
+import numpy.typing as npt
+
+from .hemisphere import RaysInWorld, cosine_fibonacci, frames
+from .job import Receiver
+from .points import Points, element_triangles
+from .rays import Occlusion
+
+Array = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
+
+RAYS = 16
+RINGS = 2  # of points that are filled, from the sound ones inwards
+CHUNK = 4096  # points
+
+
+def buried(origins: Array, normals: Array, transfer: npt.NDArray, occlusion: Occlusion) -> Mask:  # type: ignore[type-arg]
+    """Which points (P, 3) see no sky, ``transfer`` (P, ...) being 0, but mostly the backs of
+    triangles."""
+    found = np.zeros(len(origins), bool)
+    dark = np.flatnonzero(~transfer.reshape(len(transfer), -1).any(axis=1))
+    in_world = RaysInWorld(cosine_fibonacci(RAYS).astype(np.float32))
+    for start in range(0, len(dark), CHUNK):
+        some = dark[start : start + CHUNK]
+        starts, directions = np.empty((2, len(some) * RAYS, 3), np.float32)
+        in_world.origins(origins[some], starts)
+        local = frames(normals[some], some % 97 * (2 * pi / 97))
+        in_world.directions(local.matrices(), directions)
+        backs = occlusion.meets_back(starts, directions).reshape(len(some), RAYS)
+        found[some] = backs.mean(axis=1) > 0.5
+    return found
+
+
+def fill(points: Points, receiver: Receiver, transfer: Array, hidden: Mask) -> None:
+    """Give the ``hidden`` points near sound ones their neighbours' mean of ``transfer`` (P, n²)."""
+    corners = points.element_points[element_triangles(receiver)]
+    corners = corners[(corners >= 0).all(axis=1)]
+    pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    pairs = np.unique(pairs[hidden[pairs[:, 0]]], axis=0)
+    missing = hidden.copy()
+    for _ in range(RINGS):
+        usable = pairs[missing[pairs[:, 0]] & ~missing[pairs[:, 1]]]
+        if not len(usable):
+            return
+        first, counts = np.unique(usable[:, 0], return_index=True, return_counts=True)[1:]
+        sums = np.add.reduceat(transfer[usable[:, 1]], first, axis=0)
+        filled = usable[first, 0]
+        transfer[filled] = sums / counts[:, None]
+        missing[filled] = False

@@ -1,0 +1,79 @@
+"""Points inside of other things are found, and don't darken what is seen beside them."""
+
+import numpy as np
+import pytest
+import shapes
+from prt_baker.addon.prt import buried, points, rays
+from prt_baker.addon.prt.job import Job, LightSource, Settings
+from prt_baker.addon.prt.run import run
+
+
+def floor_and_crate(inward=False):
+    floor = shapes.grid([-2, -2, 0], [4, 0, 0], [0, 4, 0], 33)
+    vertices, triangles = shapes.box(1.0, 4, inward)
+    crate = (np.add(vertices, (0, 0, 0.4)), triangles)
+    return shapes.receiver(*floor), *shapes.join(floor, crate)
+
+
+def inside(places):
+    return np.abs(places[:, :2]).max(axis=1) < 0.5
+
+
+def test_the_backs_of_triangles_are_told_from_their_fronts():
+    vertices, triangles = shapes.grid([-1, -1, 1], [2, 0, 0], [0, 2, 0], 1)  # faces up
+    sky = rays.Triangles(vertices, triangles)
+    origins = np.array([[0.3, 0.2, 0], [0.3, 0.2, 2], [5, 5, 0]], np.float32)
+    directions = np.array([[0, 0, 1], [0, 0, -1], [0, 0, 1]], np.float32)
+    assert sky.meets_back(origins, directions).tolist() == [True, False, False]
+
+
+def test_points_in_a_crate_are_buried_and_those_in_a_room_are_not():
+    receiver, vertices, triangles = floor_and_crate()
+    where = points.distinct_points(receiver)
+    sky = rays.occlusion(vertices, triangles)
+    dark = np.zeros((len(where.origins), 9), np.float32)
+    found = buried.buried(where.origins, where.normals, dark, sky)
+    np.testing.assert_array_equal(found, inside(where.origins))
+    _, vertices, triangles = floor_and_crate(inward=True)
+    sky = rays.occlusion(vertices, triangles)
+    assert not buried.buried(where.origins, where.normals, dark, sky).any()
+
+
+def test_what_sees_the_sky_is_never_buried():
+    receiver, vertices, triangles = floor_and_crate()
+    where = points.distinct_points(receiver)
+    lit = np.ones((len(where.origins), 9), np.float32)
+    sky = rays.occlusion(vertices, triangles)
+    assert not buried.buried(where.origins, where.normals, lit, sky).any()
+
+
+@pytest.fixture
+def baked():
+    receiver, vertices, triangles = floor_and_crate()
+    job = Job("bake", Settings(verify_points=200), LightSource(), (receiver,), vertices, triangles)
+    steps = run(job)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            return receiver, stop.value
+
+
+def test_the_first_rings_take_their_neighbours_mean(baked):
+    receiver, results = baked
+    shown = results.receivers[0].element_transfer()[:, 0, 0]
+    places = receiver.vertices[receiver.corner_vertices]
+    border = inside(places) & (np.abs(places[:, :2]).max(axis=1) > 0.4)
+    deep = np.abs(places[:, :2]).max(axis=1) < 0.2
+    outside = shown[~inside(places)]
+    assert border.any()
+    assert shown[border].min() >= outside.min()
+    assert shown[border].max() <= outside.max()
+    assert deep.any()
+    assert not shown[deep].any()
+    assert results.report["objects"][0]["buried_points"] == 64
+
+
+def test_unseen_points_do_not_count_as_errors(baked):
+    _, results = baked
+    assert results.report["objects"][0]["measured_error"]["on_surface"] < 0.1
