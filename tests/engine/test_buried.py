@@ -59,7 +59,7 @@ def baked():
             return receiver, stop.value
 
 
-def test_the_first_rings_take_their_neighbours_mean(baked):
+def test_the_first_rings_take_what_lies_outside(baked):
     receiver, results = baked
     shown = results.receivers[0].element_transfer()[:, 0, 0]
     places = receiver.vertices[receiver.corner_vertices]
