@@ -139,13 +139,15 @@ class RealBlender:
 
     def settled(self, name: str, unlike: np.ndarray | None = None) -> np.ndarray:
         """A screenshot that changes no more; of a scene that looks other than in ``unlike``."""
-        end = time.monotonic() + 180
+        end = time.monotonic() + 240
         before = self.screenshot(name)
         while time.monotonic() < end:
             time.sleep(3)
             now = self.screenshot(name)
-            new = unlike is None or difference(self.canvas(now), self.canvas(unlike)) > 1
-            if new and difference(now, before) < 0.02:
+            canvas = self.canvas(now)
+            new = unlike is None or difference(canvas, self.canvas(unlike)) > 1
+            drawn = canvas.std() > 8  # empty while EEVEE makes its shaders
+            if new and drawn and difference(now, before) < 0.02:
                 return now
             before = now
         raise AssertionError(f"The screen never settled, see {self.folder / name}.png")

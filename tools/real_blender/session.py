@@ -34,7 +34,7 @@ def build():
     bpy.ops.mesh.primitive_cylinder_add(radius=0.3, depth=3, location=(-1.9, 0.9, 1.5))
     paint("Stone", (0.25, 0.4, 0.6))
     bpy.ops.object.select_all(action="DESELECT")
-    light("courtyard")
+    light("forest")
     bpy.context.scene.prt.rays = RAYS
 
 

@@ -88,7 +88,7 @@ def press_bake(window):
     """Click the Bake button and wait until it bakes."""
     left, top, width, _ = window.state()["sidebar"]
     window.click(int(left + BUTTON[0] * width), top + BUTTON[1])
-    return window.wait(lambda state: state["fraction"] is not None, "a bake", 20)
+    return window.wait(lambda state: state["fraction"] is not None, "a bake", 60)
 
 
 def bar(window, name):
