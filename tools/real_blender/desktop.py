@@ -137,20 +137,19 @@ class RealBlender:
         left, top, _, height = state["window"]
         return crop(picture, [left, top + 60, state["sidebar"][0] - left, height - 60])
 
-    def settled(self, name: str, unlike: np.ndarray | None = None) -> np.ndarray:
-        """A screenshot that changes no more; of a scene that looks other than in ``unlike``."""
+    def settled(
+        self, name: str, wanted: Callable[[np.ndarray], bool] = lambda picture: True
+    ) -> np.ndarray:
+        """A screenshot that is as wanted and changes no more."""
         end = time.monotonic() + 240
         before = self.screenshot(name)
         while time.monotonic() < end:
             time.sleep(3)
             now = self.screenshot(name)
-            canvas = self.canvas(now)
-            new = unlike is None or difference(canvas, self.canvas(unlike)) > 1
-            drawn = canvas.std() > 8  # empty while EEVEE makes its shaders
-            if new and drawn and difference(now, before) < 0.02:
+            if wanted(now) and difference(now, before) < 0.02:
                 return now
             before = now
-        raise AssertionError(f"The screen never settled, see {self.folder / name}.png")
+        raise AssertionError(f"The screen never came to rest, see {self.folder / name}.png")
 
 
 def difference(first: np.ndarray, second: np.ndarray) -> float:

@@ -16,7 +16,7 @@ import bpy
 
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
 PACKAGE = "bl_ext.user_default.prt_baker"
-RAYS = 1024
+RAYS = 4096
 done = []
 
 
