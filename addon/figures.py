@@ -7,7 +7,7 @@ PHASES = {
     "scene": "Reading the scene",
     "start": "Starting the engine",
     "light": "Reading the light",
-    "points": "Finding the points",
+    "prepare": "Preparing the scene",
     "transfer": "Tracing",
     "verify": "Tracing again to verify",
 }

@@ -87,12 +87,13 @@ def _hosts(receiver: Receiver, surface: Surface) -> Index:
     before = np.roll(surface.corners, 1, axis=1) - surface.corners
     lengths = np.linalg.norm(after, axis=2) * np.linalg.norm(before, axis=2)
     cosine = (after * before).sum(axis=2) / np.where(lengths > 0, lengths, 1)
-    solid = np.repeat(surface.solid, 3)
-    elements = element_triangles(receiver).reshape(-1)[solid]
-    triangles = np.repeat(np.arange(len(surface.solid)), 3)[solid]
+    cosine[~surface.solid] = np.inf
+    elements = element_triangles(receiver)
+    widest = np.full(len(receiver.normals), np.inf)
+    np.minimum.at(widest, elements.reshape(-1), cosine.reshape(-1))
+    is_host = (cosine == widest[elements]) & surface.solid[:, None]
     hosts = np.full(len(receiver.normals), -1, np.int64)
-    widest_last = np.argsort(-cosine.reshape(-1)[solid], kind="stable")
-    hosts[elements[widest_last]] = triangles[widest_last]
+    hosts[elements[is_host]] = np.nonzero(is_host)[0]
     return hosts
 
 

@@ -4,6 +4,7 @@ import platform
 import sys
 import time
 from collections.abc import Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -84,11 +85,11 @@ def _transfer(
     job: Job, meter: _Meter, entries: list[Entry]
 ) -> Generator[Progress, None, tuple[ReceiverResult, ...]]:
     """Bake or verify every receiver of ``job``, with an entry of the report for each."""
-    yield meter.progress("points")
-    with meter.phase("points"):
+    yield meter.progress("prepare")
+    with meter.phase("prepare"), ThreadPoolExecutor(1) as pool:
+        building = pool.submit(occlusion, job.occluder_vertices, job.occluder_triangles)
         points = [distinct_points(receiver) for receiver in job.receivers]
-    with meter.phase("build"):
-        sky = occlusion(job.occluder_vertices, job.occluder_triangles)
+        sky = building.result()
     meter.rays_expected = _rays_expected(job, points)
     results: list[ReceiverResult] = []
     for receiver, its_points in zip(job.receivers, points, strict=True):
