@@ -8,7 +8,8 @@ import importlib
 import signal
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Self
 
@@ -22,46 +23,85 @@ _handles: list[Any] = []
 
 def main() -> int:
     """The program ``prt-bake``, on the bpy wheel: opens the .blend itself."""
-    return _exit_code("prt-bake", lambda: _bake_file(sys.argv[1:]))
+    return _exit_code("prt-bake", lambda interrupts: _bake_file(sys.argv[1:], interrupts))
 
 
 def command(arguments: list[str]) -> int:
     """``blender --command prt_bake``: bakes the .blend that Blender has opened."""
-    return _exit_code(COMMAND, lambda: _bake_opened(arguments))
+    return _exit_code(COMMAND, lambda interrupts: _bake_opened(arguments, interrupts))
 
 
-def _bake_opened(arguments: list[str]) -> None:
+class _Interrupts:
+    """Ctrl-C and the farm's SIGTERM raise KeyboardInterrupt, inside Blender too.
+
+    ``seen`` remembers them, because Blender makes a RuntimeError of one, or prints and forgets it.
+    The second raises nothing, so that the first can clean up.
+    """
+
+    def __enter__(self) -> Self:
+        self.seen = self._held = False
+        signals = (signal.SIGINT, signal.SIGTERM)
+        self._before = {number: signal.signal(number, self._interrupt) for number in signals}
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler or signal.SIG_DFL)  # None: it was not Python's
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Nothing is raised inside: Blender can die of it where it starts or takes in an add-on."""
+        self._held = True
+        try:
+            yield
+        finally:
+            self._held = False
+
+    def check(self) -> None:
+        """Raise what was held back or forgotten."""
+        if self.seen:
+            raise KeyboardInterrupt
+
+    def _interrupt(self, _number: int, _frame: FrameType | None) -> None:
+        first, self.seen = not self.seen, True
+        if first and not self._held:
+            raise KeyboardInterrupt
+
+
+def _bake_opened(arguments: list[str], interrupts: _Interrupts) -> None:
     asked = options.parse(COMMAND, arguments, with_blend=False)
     outputs.check(asked.outputs)
     from . import headless
 
     headless.check_opened(sys.argv)
+    headless.run(asked, interrupts.check)
 
-    headless.run(asked)
 
-
-def _bake_file(arguments: list[str]) -> None:
+def _bake_file(arguments: list[str], interrupts: _Interrupts) -> None:
     asked = options.parse("prt-bake", arguments, with_blend=True)
     if not asked.blend.is_file():
         raise BakeError(f"{asked.blend} does not exist or is no file")
     outputs.check(asked.outputs)
-    from . import headless
+    with interrupts.held():
+        from . import headless
 
-    addon = importlib.import_module(PACKAGE)
-    addon.register()
+        addon = importlib.import_module(PACKAGE)
+        addon.register()
     try:
+        interrupts.check()
         headless.open_blend(asked.blend)
-        headless.run(asked)
+        headless.run(asked, interrupts.check)
     finally:
-        addon.unregister()  # what is registered at exit makes some bpy wheels hang
+        with interrupts.held():
+            addon.unregister()  # what is registered at exit makes some bpy wheels hang
 
 
-def _exit_code(program: str, work: Callable[[], None]) -> int:
+def _exit_code(program: str, work: Callable[[_Interrupts], None]) -> int:
     """Do ``work`` and say how it went."""
     sys.stdout.reconfigure(errors="backslashreplace")  # a name that a console cannot show
     with _Interrupts() as interrupts:
         try:
-            work()
+            work(interrupts)
         except SystemExit as end:  # --help
             return int(end.code or 0)
         except BaseException as error:  # noqa: BLE001 - the last place that can speak
@@ -79,27 +119,6 @@ def _explain(program: str, error: BaseException, interrupted: bool) -> int:
         return 2
     traceback.print_exception(error)
     return 1
-
-
-class _Interrupts:
-    """Ctrl-C and the farm's SIGTERM raise KeyboardInterrupt, inside Blender too.
-
-    ``seen`` remembers them, because an operator of Blender makes a RuntimeError of one.
-    """
-
-    def __enter__(self) -> Self:
-        self.seen = False
-        signals = (signal.SIGINT, signal.SIGTERM)
-        self._before = {number: signal.signal(number, self._interrupt) for number in signals}
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler or signal.SIG_DFL)  # None: it was not Python's
-
-    def _interrupt(self, _number: int, _frame: FrameType | None) -> None:
-        self.seen = True
-        raise KeyboardInterrupt
 
 
 def register() -> None:

@@ -4,6 +4,7 @@ Needs no Blender.  The child reads and writes one job folder, which is deleted i
 happens.
 """
 
+import errno
 import importlib.util
 import json
 import os
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from .prt import job as jobs
-from .prt.errors import BakeError
+from .prt.errors import BakeError, no_room
 
 # Our folders come last in the child's path: a sibling named like a part of the standard library
 # would kill it.
@@ -37,20 +38,25 @@ ONE_BLAS_THREAD = dict.fromkeys(
     "1",
 )
 POLL_SECONDS = 0.02
+FULL = (None, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # numpy gives a short write no number
 
 
 @contextmanager
 def job_folder() -> Iterator[Path]:
-    """A new empty folder, gone afterwards."""
+    """A new empty folder, gone afterwards; BakeError when its disk is full."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="prt-job-"))
     except OSError as error:
         raise BakeError(
-            f"The temporary folder cannot be written ({error.strerror}): make room or choose "
-            "another in Preferences > File Paths"
+            f"No temporary folder can be made ({error.strerror}): make room, or set TMPDIR to "
+            "another folder"
         ) from error
     try:
         yield folder
+    except OSError as error:
+        if error.errno in FULL:
+            raise no_room(folder.parent, error) from error
+        raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -61,12 +67,7 @@ def run(job: jobs.Job, folder: Path) -> Generator[jobs.Progress, None, jobs.Resu
     ``close()`` kills the child at once.  BakeError where the engine says what can be mended,
     RuntimeError with its traceback where the fault is ours.
     """
-    try:
-        jobs.write(job, folder)
-    except OSError as error:
-        raise BakeError(
-            f"The bake's data cannot be written to {folder} ({error.strerror}): make room there"
-        ) from error
+    jobs.write(job, folder)
     process = _start(folder)
     try:
         yield from _watch(process, folder)
@@ -134,6 +135,8 @@ def _watch(process: subprocess.Popen[bytes], folder: Path) -> Iterator[jobs.Prog
 
 def _ended(code: int, folder: Path) -> Exception:
     """What to raise for a child that ended without a word."""
+    if code == 2:
+        return no_room(folder.parent, OSError())
     if code == -9:
         return BakeError(
             "The system stopped the bake, most likely for want of memory: "

@@ -1,10 +1,12 @@
 """Write the scene as a .glb, through Blender's own exporter."""
 
+import io
 import json
 import re
 import struct
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +54,9 @@ def _named_bakes(names: list[str]) -> set[str]:
 def _export(path: Path) -> None:
     if not hasattr(bpy.types, "EXPORT_SCENE_OT_gltf"):
         raise BakeError("Enable the add-on glTF 2.0 format in the preferences to write a .glb")
+    said = io.StringIO()
     try:
-        with _found_by_the_exporter():
+        with _found_by_the_exporter(), redirect_stderr(said):  # Blender prints a traceback there
             bpy.ops.export_scene.gltf(
                 filepath=str(path),
                 export_format="GLB",
@@ -66,6 +69,7 @@ def _export(path: Path) -> None:
         if reason is None:
             raise
         raise BakeError(f"{path} cannot be written: {reason[1]}") from error
+    print(said.getvalue(), end="", file=sys.stderr)
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 import difflib
 import json
 import sys
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
 from itertools import takewhile
@@ -38,10 +38,13 @@ def check_opened(command_line: list[str]) -> None:
         raise BakeError(f"{blends[-1]} cannot be opened: see what Blender says above")
 
 
-def run(asked: Options) -> None:
-    """Bake the opened scene, write what was asked for, and print a line for each object."""
+def run(asked: Options, check: Callable[[], None]) -> None:
+    """Bake the opened scene, write what was asked for, and print a line for each object.
+
+    ``check`` is called at every step, and raises when the work was interrupted.
+    """
     with _in_a_window():
-        _run(asked)
+        _run(asked, check)
 
 
 def _in_a_window() -> AbstractContextManager[None]:
@@ -53,16 +56,18 @@ def _in_a_window() -> AbstractContextManager[None]:
     return bpy.context.temp_override(window=windows[0])
 
 
-def _run(asked: Options) -> None:
+def _run(asked: Options, check: Callable[[], None]) -> None:
     current = bpy.context.scene
     names = _object_names(current, asked.objects)
     settings = _settings(current, asked)
     world = str(Path(asked.world).absolute()) if asked.world else None
     if not asked.outputs:
         sys.stderr.write("Nothing will be written: --save, --gltf and --report do\n")
-    report = _finish(bake.bake(current.name, names, settings, world))
+    report = _finish(bake.bake(current.name, names, settings, world), check)
     report["lamps_left_out"] = _lamps(current)
-    _write(asked, names, report)
+    with outputs.staged(asked.outputs) as places:
+        _write(asked, places, names, report)
+        check()
     for name in names:
         for stamp in selection.stamps([name]):
             sys.stdout.write(f"{name}: {', '.join(figures.stamp_lines(stamp))}\n")
@@ -95,26 +100,26 @@ def _settings(current: bpy.types.Scene, asked: Options) -> Settings:
     return replace(properties.settings(current, asked.verify), **chosen)
 
 
-def _finish(steps: Generator[Progress, None, Report]) -> Report:
+def _finish(steps: Generator[Progress, None, Report], check: Callable[[], None]) -> Report:
     """Run ``steps`` to their end, showing how far they are; their report."""
     lines = ProgressLines(sys.stderr)
     with closing(steps), closing(lines):
         while True:
+            check()
             try:
                 lines.show(next(steps))
             except StopIteration as end:
                 return end.value
 
 
-def _write(asked: Options, names: list[str], report: Report) -> None:
-    with outputs.staged(asked.outputs) as places:
-        if asked.save:
-            _save(asked.save, places[asked.save])
-        if asked.gltf:
-            gltf_export.write(str(places[asked.gltf]), names)
-        if asked.report:
-            text = json.dumps(report, indent=2, ensure_ascii=False)
-            places[asked.report].write_text(f"{text}\n", encoding="utf-8")
+def _write(asked: Options, places: dict[Path, Path], names: list[str], report: Report) -> None:
+    if asked.save:
+        _save(asked.save, places[asked.save])
+    if asked.gltf:
+        gltf_export.write(str(places[asked.gltf]), names)
+    if asked.report:
+        text = json.dumps(report, indent=2, ensure_ascii=False)
+        places[asked.report].write_text(f"{text}\n", encoding="utf-8")
 
 
 def _save(path: Path, place: Path) -> None:
@@ -122,7 +127,8 @@ def _save(path: Path, place: Path) -> None:
     try:
         bpy.ops.wm.save_as_mainfile(filepath=str(place), copy=True, relative_remap=True)
     except RuntimeError as error:
-        raise BakeError(f"{path} cannot be written: {_reason(error)}") from error
+        # Blender's own reason is a wrong one when the disk is full
+        raise BakeError(f"{path} cannot be written whole: make room in its folder") from error
 
 
 def _reason(error: RuntimeError) -> str:

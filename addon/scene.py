@@ -104,7 +104,10 @@ def _receiver_of(name: str, mesh: bpy.types.Mesh, matrix: Matrix) -> Receiver:
     vertices = meshes.to_world(meshes.positions(mesh), matrix)
     lost = len(vertices) - np.count_nonzero(meshes.placed(vertices))
     if lost:
-        raise BakeError(f"Object {name!r} has {lost} vertices with NaN or infinite coordinates")
+        raise BakeError(
+            f"Object {name!r} has vertices that are NaN, infinite or too far away ({lost} of "
+            f"{len(vertices)}): delete or move them"
+        )
     corner_vertices = meshes.corner_vertices(mesh)
     corners = meshes.outward(meshes.triangle_corners(mesh), matrix)
     corners = corners[meshes.solid(vertices, corner_vertices[corners])]

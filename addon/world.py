@@ -6,18 +6,19 @@ bytes are only touched by ``read`` and ``source``.
 """
 
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 
 import bpy
 import numpy as np
 from mathutils import Euler
 
-from . import world_render
+from . import world_images, world_render
 from .prt.errors import BakeError
 from .prt.job import IDENTITY, Array, LightSource, Vector
 
 Rotation = tuple[Vector, Vector, Vector]
-DECODED = (".exr", ".hdr")  # what the engine reads
+STRONGEST = 1e30  # of a world's strength: the sum over its pixels has to fit into float32
 RENDERED = "rendered"  # the image_key of a world that had to be rendered
 ROTATES = {"POINT", "VECTOR", "NORMAL", "TEXTURE"}
 
@@ -60,9 +61,11 @@ def from_file(path: str | Path) -> WorldLight:
     image = Path(path).absolute()
     if not image.exists():
         raise BakeError(f"World image {str(path)!r} does not exist: give an .exr or .hdr")
-    if image.is_file() and image.suffix.lower() not in DECODED:
+    if image.is_file() and image.suffix.lower() not in world_images.DECODED:
         raise BakeError(f"World image {str(path)!r} is neither .exr nor .hdr: convert it first")
-    return WorldLight(LightSource(image=str(image), may_be_cubemap=True), _file_key(image))
+    return WorldLight(
+        LightSource(image=str(image), may_be_cubemap=True), world_images.file_key(image)
+    )
 
 
 def source(simple: SimpleWorld, folder: Path) -> LightSource:
@@ -70,10 +73,13 @@ def source(simple: SimpleWorld, folder: Path) -> LightSource:
     image = simple.image
     if image is None:
         return LightSource(simple.strength)
-    if _in_memory(image):
-        return LightSource(simple.strength, pixels=_pixels(image), rotation=simple.rotation)
-    path = _unpacked(image, folder) if image.packed_file else _path(image)
-    return LightSource(simple.strength, image=str(path), rotation=simple.rotation)
+    if world_images.in_memory(image):
+        pixels = world_images.pixels(image)
+        return LightSource(simple.strength, pixels=pixels, rotation=simple.rotation)
+    packed = bool(image.packed_file)
+    path = world_images.unpacked(image, folder) if packed else world_images.path(image)
+    title = image.name if packed else ""
+    return LightSource(simple.strength, str(path), rotation=simple.rotation, title=title)
 
 
 def read_nodes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> SimpleWorld | None:
@@ -92,12 +98,27 @@ def read_nodes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Simple
     background = _node_at(output.inputs["Surface"], "ShaderNodeBackground")
     if background is None or background.inputs["Strength"].is_linked:
         return None
+    simple = _of_background(background, world.name)
+    if simple is not None and not _is_usable(simple):
+        raise BakeError(
+            f"The strength or the rotation of world {world.name!r} is not finite: set it again"
+        )
+    return simple
+
+
+def _of_background(background: bpy.types.Node, name: str) -> SimpleWorld | None:
     strength = float(background.inputs["Strength"].default_value)
     color = background.inputs["Color"]
     if not color.is_linked:
         return SimpleWorld(_vector(strength * np.array(color.default_value)[:3]))
     texture = _node_at(color, "ShaderNodeTexEnvironment")
-    return None if texture is None else _of_texture(texture, strength, world.name)
+    return None if texture is None else _of_texture(texture, strength, name)
+
+
+def _is_usable(simple: SimpleWorld) -> bool:
+    """Whether its light can be turned and added up in float32."""
+    turn = (value for row in simple.rotation for value in row)
+    return all(map(isfinite, turn)) and all(abs(value) < STRONGEST for value in simple.strength)
 
 
 def _of_texture(texture: bpy.types.Node, strength: float, name: str) -> SimpleWorld | None:
@@ -109,7 +130,7 @@ def _of_texture(texture: bpy.types.Node, strength: float, name: str) -> SimpleWo
     rotation = _rotation(texture.inputs["Vector"])
     if rotation is None or not _is_linear(image):
         return None
-    key = image_key(image)
+    key = world_images.key(image)
     return None if key is None else SimpleWorld((strength,) * 3, rotation, image, key)
 
 
@@ -174,66 +195,3 @@ def _is_linear(image: bpy.types.Image) -> bool:
 def _vector(values: Array) -> Vector:
     x, y, z = (float(value) for value in values)
     return x, y, z
-
-
-def image_key(image: bpy.types.Image) -> str | None:
-    """Names the content of ``image`` without looking at a pixel; None where it must be rendered.
-
-    So neither painted pixels nor a packed image exchanged for one of the same size and name change
-    it: for those there is Update Light.
-    """
-    if image.source == "GENERATED":
-        return f"generated {image.name_full} {_generated(image)}"
-    if image.source != "FILE" or image.type == "MULTILAYER":
-        return None
-    if image.is_dirty:
-        return f"painted {image.name_full} {tuple(image.size)}"
-    if Path(image.filepath).suffix.lower() not in DECODED:
-        packed_float = image.packed_file and not image.filepath and image.is_float
-        return f"packed {image.name_full} {image.packed_file.size}" if packed_float else None
-    if image.packed_file:
-        return f"packed {image.name_full} {image.packed_file.size}"
-    try:
-        return _file_key(_path(image))
-    except OSError as error:
-        raise BakeError(
-            f"The world's image {str(_path(image))!r} is missing: find it or open another one"
-        ) from error
-
-
-def _generated(image: bpy.types.Image) -> tuple[object, ...]:
-    size = image.generated_width, image.generated_height
-    return image.generated_type, *size, *image.generated_color
-
-
-def _file_key(path: Path) -> str:
-    status = path.stat()
-    return f"file {path} {status.st_size} {status.st_mtime_ns}"
-
-
-def _path(image: bpy.types.Image) -> Path:
-    return Path(bpy.path.abspath(image.filepath, library=image.library))
-
-
-def _in_memory(image: bpy.types.Image) -> bool:
-    return image.source == "GENERATED" or image.is_dirty
-
-
-def _pixels(image: bpy.types.Image) -> Array:
-    """Pixels (H, W, 3) float32, top row first."""
-    width, height = image.size
-    if not width or not height:
-        raise BakeError(f"The world's image {image.name!r} has no pixels: reload it")
-    values = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(values)
-    rows = values.reshape(height, width, -1)[::-1]
-    colors = rows[..., :3] if image.channels >= 3 else rows[..., :1].repeat(3, axis=-1)
-    return np.ascontiguousarray(colors)
-
-
-def _unpacked(image: bpy.types.Image, folder: Path) -> Path:
-    """A packed file as it was, on disk: the engine decodes it, in its own process."""
-    suffix = Path(image.filepath).suffix.lower()
-    path = folder / f"world{suffix if suffix in DECODED else '.exr'}"
-    path.write_bytes(image.packed_file.data)
-    return path

@@ -3,16 +3,17 @@
 In a scene of its own, which is gone afterwards.
 """
 
-import tempfile
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from errno import ENOSPC
 from math import pi
 from pathlib import Path
 
 import bpy
 import numpy as np
 
-from . import engine
+from . import engine, world_images
 from .prt.errors import BakeError
 from .prt.job import Array, LightSource
 
@@ -52,11 +53,18 @@ def _aim_at_peak(studio: bpy.types.Scene, pixels: Array) -> tuple[slice, slice]:
 def _picture(studio: bpy.types.Scene, samples: int) -> Array:
     """What ``studio`` renders, (H, W, 3) float32, top row first."""
     studio.cycles.samples = samples
-    with tempfile.TemporaryDirectory(prefix="prt_world_") as folder:
-        path = Path(folder) / "world.exr"
+    with engine.job_folder() as folder:
+        path = folder / "world.exr"
         studio.render.filepath = str(path)
         bpy.ops.render.render(write_still=True, scene=studio.name)
+        _check_whole(path, studio.render.resolution_x, studio.render.resolution_y)
         return _load(path)
+
+
+def _check_whole(path: Path, width: int, height: int) -> None:
+    """OSError when Blender could not write all of its picture, which it does not tell."""
+    if not path.is_file() or path.stat().st_size < height * (12 * width + 16):
+        raise OSError(ENOSPC, os.strerror(ENOSPC))
 
 
 @contextmanager
@@ -106,6 +114,7 @@ def _set_up_render(studio: bpy.types.Scene) -> None:
     studio.render.use_compositing = studio.render.use_sequencer = False
     settings = studio.render.image_settings
     settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR", "32", "NONE"
+    settings.color_mode = "RGB"
 
 
 def _keep_one_output(tree: bpy.types.NodeTree) -> None:
@@ -152,15 +161,26 @@ def _check_image(node: bpy.types.Node) -> None:
     image = node.image
     if image is None:
         raise BakeError(f"Node {node.name!r} of the world has no image: open one or unlink it")
-    if image.source != "FILE" or image.packed_file:
+    if image.source != "FILE":
         return
-    path = Path(bpy.path.abspath(image.filepath, library=image.library))
-    if not path.is_file():
-        raise BakeError(f"The world's image {str(path)!r} is missing: find it or open another one")
-    if path.suffix.lower() in (".exr", ".hdr"):
-        engine.run_light(LightSource(image=str(path)))  # a damaged one can crash Blender's reader
+    path = world_images.path(image)
+    if not image.packed_file and not path.is_file():
+        raise world_images.missing(image)
+    if world_images.is_decoded(image):
+        _decode(image)
     elif not image.size[0]:
-        raise BakeError(f"The world's image {str(path)!r} can't be read: open another one")
+        name = image.name if image.packed_file else str(path)
+        raise BakeError(f"The world's image {name!r} can't be read: open another one")
+
+
+def _decode(image: bpy.types.Image) -> None:
+    """BakeError when the engine can't read the file of ``image``: Blender's reader may crash."""
+    with engine.job_folder() as folder:
+        if image.packed_file:
+            path, title = world_images.unpacked(image, folder), image.name
+        else:
+            path, title = world_images.path(image), ""
+        engine.run_light(LightSource(image=str(path), title=title))
 
 
 def _load(path: Path) -> Array:

@@ -1,7 +1,7 @@
 """The engine as a program: ``python -m prt JOB_FOLDER``.
 
 Writes ``progress.jsonl`` and, when all is done, ``results``.  Exit codes: 0 done, 2 a BakeError,
-1 a fault of ours; both leave their text as the last line of the progress file.
+1 a fault of ours; both leave their text as the last line of the progress file, if there is room.
 """
 
 import json
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from . import job as jobs
-from .errors import BakeError
+from .errors import BakeError, no_room
 from .run import run
 
 PROGRESS = "progress.jsonl"
@@ -22,18 +22,25 @@ INTERVAL = 0.05  # seconds between two lines
 
 def main(folder: Path) -> int:
     """Do the job in ``folder``; the exit code."""
-    with (folder / PROGRESS).open("a", encoding="utf-8") as progress:
-        try:
-            _run(folder, progress)
-        except BakeError as error:
-            return _say(progress, 2, error=str(error))
-        except MemoryError:
-            sentence = "There is not enough memory for this bake: hide what casts no shadow on it"
-            return _say(progress, 2, error=sentence)
-        except OSError as error:
-            return _say(progress, 2, error=f"The job folder cannot be used: {error}")
-        except Exception:  # noqa: BLE001 - the parent shows its traceback
-            return _say(progress, 1, fault=traceback.format_exc())
+    try:
+        with (folder / PROGRESS).open("a", encoding="utf-8") as progress:
+            return _guarded(folder, progress)
+    except OSError:  # no room even for the reason
+        return 2
+
+
+def _guarded(folder: Path, progress: TextIO) -> int:
+    try:
+        _run(folder, progress)
+    except BakeError as error:
+        return _say(progress, 2, error=str(error))
+    except MemoryError:
+        sentence = "There is not enough memory for this bake: hide what casts no shadow on it"
+        return _say(progress, 2, error=sentence)
+    except OSError as error:
+        return _say(progress, 2, error=str(no_room(folder.parent, error)))
+    except Exception:  # noqa: BLE001 - the parent shows its traceback
+        return _say(progress, 1, fault=traceback.format_exc())
     return 0
 
 

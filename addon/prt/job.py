@@ -54,7 +54,8 @@ class LightSource:
     there is one.  ``image`` is a lat-long .exr or .hdr on disk; ``pixels`` (H, W, 3) float32, top
     row first, stands in for one that is in memory.  ``rotation`` takes world directions to the
     image's.  With ``may_be_cubemap`` a picture of a cross's or strip's shape, or a folder with the
-    faces px, nx, py, ny, pz and nz, is a cubemap; Blender's own worlds never are.
+    faces px, nx, py, ny, pz and nz, is a cubemap; Blender's own worlds never are.  ``title`` is
+    what the artist calls an image whose path says nothing to him.
     """
 
     strength: Vector = (1.0, 1.0, 1.0)
@@ -62,6 +63,7 @@ class LightSource:
     pixels: Array | None = field(default=None, compare=False)
     rotation: tuple[Vector, Vector, Vector] = IDENTITY
     may_be_cubemap: bool = False
+    title: str = ""
 
 
 @dataclass(frozen=True)
@@ -150,12 +152,25 @@ def content_hash(job: Job) -> str:
     digest = hashlib.blake2b(digest_size=16)
     settings = {k: v for k, v in asdict(job.settings).items() if k != "threads"}
     receivers = [(r.name, r.domain) for r in job.receivers]
-    header = (VERSION, job.kind, settings, _light_header(job.light), receivers)
+    light = _light_header(job.light) or {}
+    image, _ = light.pop("image", None), light.pop("title", None)
+    header = (VERSION, job.kind, settings, light, receivers)
     digest.update(json.dumps(header, sort_keys=True).encode())
+    for file in _files(image):
+        with file.open("rb") as content:
+            digest.update(hashlib.file_digest(content, "blake2b").digest())
     for name, array in _arrays(job, None):
         digest.update(f"{name} {array.shape} {array.dtype}".encode())
         digest.update(np.ascontiguousarray(array))
     return digest.hexdigest()
+
+
+def _files(image: str | None) -> list[Path]:
+    """The files at ``image``, which may be missing, or a folder of faces."""
+    path = Path(image) if image else None
+    if path is None or not path.exists():
+        return []
+    return sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
 
 
 def write(job: Job, folder: Path) -> None:
@@ -263,8 +278,8 @@ def _read_light(values: dict[str, Any] | None, folder: Path) -> LightSource | No
     pixels = _load(folder, "image") if (folder / "image.npy").exists() else None
     rotation = tuple(tuple(row) for row in values["rotation"])
     strength = tuple(values["strength"])
-    may_be_cubemap = values["may_be_cubemap"]
-    return LightSource(strength, values["image"], pixels, rotation, may_be_cubemap)  # type: ignore[arg-type]
+    rest = {"may_be_cubemap": values["may_be_cubemap"], "title": values["title"]}
+    return LightSource(strength, values["image"], pixels, rotation, **rest)  # type: ignore[arg-type]
 
 
 def _read_receiver(folder: Path, i: int, values: dict[str, Any]) -> Receiver:

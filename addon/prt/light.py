@@ -64,7 +64,11 @@ def _pixels(source: LightSource) -> Pixels | None:
         return source.pixels
     if source.may_be_cubemap and Path(source.image).is_dir():
         return _six_faces(Path(source.image))
-    return images.read(source.image)
+    try:
+        return images.read(source.image)
+    except BakeError as error:
+        name = repr(source.title) if source.title else source.image
+        raise BakeError(str(error).replace(source.image, name)) from error
 
 
 def _six_faces(folder: Path) -> Pixels:

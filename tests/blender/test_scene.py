@@ -76,7 +76,7 @@ def an_instance():
         (lonely_edges, "has no faces"),
         (without_area, "only faces without area"),
         (squashed, "only faces without area"),
-        (not_finite, "has 2 vertices with NaN or infinite"),
+        (not_finite, r"NaN, infinite or too far away \(2 of 8\)"),
         (in_edit_mode, "Edit Mode"),
         (disabled_in_renders, "disabled in renders"),
         (hidden_in_viewport, "hidden in the viewport"),

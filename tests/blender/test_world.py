@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from prt_baker.addon import world, world_render
+from prt_baker.addon import world, world_images, world_render
 from prt_baker.addon.prt import images, lat_long, light
 from prt_baker.addon.prt.errors import BakeError
 from worlds import environment, generated, loaded, new_world, picture
@@ -338,11 +338,11 @@ def test_a_file_that_is_no_map_is_refused(tmp_path, name):
 def test_a_key_names_the_content(scene, tmp_path):
     path = tmp_path / "sky.exr"
     image = loaded(picture(), path)
-    key = world.image_key(image)
-    assert world.image_key(image) == key
+    key = world_images.key(image)
+    assert world_images.key(image) == key
     images.write_exr(str(path), picture(seed=1))
-    assert world.image_key(image) != key
+    assert world_images.key(image) != key
     grid = generated(picture())
-    key = world.image_key(grid)
+    key = world_images.key(grid)
     grid.generated_type = "UV_GRID"
-    assert world.image_key(grid) != key
+    assert world_images.key(grid) != key

@@ -52,6 +52,18 @@ def test_hash_ignores_threads_and_sees_everything_else(job):
     assert len({base, *map(jobs.content_hash, others)}) == len(others) + 1
 
 
+def test_hash_sees_what_a_picture_holds_and_not_where_it_lies(job, tmp_path):
+    places = [tmp_path / "a.exr", tmp_path / "elsewhere.exr", tmp_path / "other.exr"]
+    for place, content in zip(places, (b"sky", b"sky", b"night"), strict=True):
+        place.write_bytes(content)
+    hashes = [
+        jobs.content_hash(replace(job, light=jobs.LightSource(image=str(place), title=place.name)))
+        for place in [*places, tmp_path / "missing.exr"]
+    ]
+    assert hashes[0] == hashes[1]
+    assert len(set(hashes)) == 3
+
+
 def test_empty_arrays_survive(tmp_path):
     jobs.write(jobs.Job("light", light=jobs.LightSource()), tmp_path)
     assert jobs.read(tmp_path).occluder_triangles.shape == (0, 3)

@@ -1,6 +1,7 @@
 """A whole run, in this process and in the engine's own."""
 
 import contextlib
+import json
 import sys
 from contextlib import closing
 from dataclasses import replace
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import shapes
 from prt_baker.addon import engine
+from prt_baker.addon.prt import __main__ as program
 from prt_baker.addon.prt import job as jobs
 from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.errors import BakeError
@@ -126,12 +128,46 @@ def test_cancel_kills_the_child_and_leaves_nothing(job):
     assert not any(str(folder) in child for child in children())
 
 
-def test_a_full_disk_is_one_sentence(job, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "error",
+    [OSError(28, "No space left on device"), OSError("76800 requested and 24576 written")],
+)
+def test_a_full_disk_is_one_sentence(job, monkeypatch, error):
     def full(*_):
-        raise OSError(28, "No space left on device")
+        raise error
 
     monkeypatch.setattr(np, "save", full)
-    with pytest.raises(BakeError, match="No space left"):
+    with (
+        pytest.raises(BakeError, match="No space left on device") as caught,
+        engine.job_folder() as folder,
+    ):
+        finish(engine.run(job, folder))
+    assert str(folder.parent) in str(caught.value)
+    assert not folder.exists()
+
+
+def test_an_error_of_another_kind_keeps_its_traceback():
+    with pytest.raises(PermissionError), engine.job_folder():
+        raise PermissionError(13, "Permission denied")
+
+
+def test_results_without_room_are_one_sentence(job, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError("17694 requested and 11232 written")
+
+    jobs.write(job, tmp_path)
+    monkeypatch.setattr(jobs, "write_results", full)
+    assert program.main(tmp_path) == 2
+    last = json.loads((tmp_path / program.PROGRESS).read_text("utf-8").splitlines()[-1])
+    assert "No space left on device" in last["error"]
+
+
+def test_without_room_even_for_the_reason_there_is_one(job, tmp_path, monkeypatch):
+    monkeypatch.setattr(program, "_say", lambda *_, **__: (tmp_path / "no" / "room").touch())
+    monkeypatch.setattr(program, "_run", lambda *_: 1 / 0)
+    assert program.main(tmp_path) == 2
+    monkeypatch.setattr(engine, "BOOT", "import sys; sys.exit(2)")
+    with pytest.raises(BakeError, match="No space left on device"):
         finish(engine.run(job, tmp_path))
 
 
