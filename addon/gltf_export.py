@@ -37,8 +37,14 @@ def write(path: str, object_names: list[str] | None = None) -> None:
 
 def _visible_bakes() -> set[str]:
     """Names of the objects that will come out with a bake."""
-    scene = bpy.context.scene
-    return {o.name for o in shown_bakes() if scene.objects.get(o.name) is o and o.visible_get()}
+    return {obj.name for obj in shown_bakes() if obj.visible_get() and _in_scene(obj)}
+
+
+def _in_scene(obj: bpy.types.Object) -> bool:
+    """Whether ``obj`` and its parents are in the scene: the exporter loses orphans."""
+    if bpy.context.scene.objects.get(obj.name) is not obj:
+        return False
+    return obj.parent is None or _in_scene(obj.parent)
 
 
 def _named_bakes(names: list[str]) -> set[str]:
@@ -46,7 +52,8 @@ def _named_bakes(names: list[str]) -> set[str]:
     missing = sorted(set(names) - _visible_bakes())
     if missing:
         raise BakeError(
-            f"{missing[0]!r} is hidden or not baked, so the .glb would not show its bake"
+            f"{missing[0]!r} is hidden, not baked, or its parent is not in the scene, so the .glb "
+            "would not show its bake"
         )
     return set(names)
 

@@ -37,6 +37,7 @@ def place(data, name="Object", matrix=None, collection=None):
     if matrix is not None:
         obj.parent = bpy.data.objects.new("Parent", None)
         obj.matrix_parent_inverse = matrix
+        bpy.context.scene.collection.objects.link(obj.parent)
     (collection or bpy.context.scene.collection).objects.link(obj)
     bpy.context.view_layer.update()
     return obj

@@ -16,7 +16,8 @@ def of(scene):
 
 
 def _properties(owner):
-    values = {key: owner[key] for key in owner.keys() if key != "cycles"}  # noqa: SIM118
+    """Without the groups that Blender 4 keeps there, once they were looked at."""
+    values = {key: owner[key] for key in owner.keys() if key not in {"cycles", "prt"}}  # noqa: SIM118
     return {k: str(v.to_dict() if hasattr(v, "to_dict") else v) for k, v in values.items()}
 
 

@@ -1,5 +1,6 @@
 """The command line: what it passes on, what it refuses, what it writes, and its exit codes."""
 
+import contextlib
 import os
 import signal
 from pathlib import Path
@@ -173,6 +174,31 @@ def test_an_interrupt_is_130_and_closes_the_job(capsys, cube, monkeypatch, numbe
     assert closed == [True]
     assert "interrupted" in capsys.readouterr().err
     assert signal.getsignal(number) == before
+
+
+def test_an_interrupt_that_blender_swallows_is_130_too(capsys, cube, monkeypatch, tmp_path):
+    """Blender prints what a handler or a class of ours raises, and goes on."""
+    monkeypatch.setattr(gltf_export, "write", lambda path, _names: Path(path).write_bytes(b"glTF"))
+
+    def swallow(*_arguments):
+        yield Progress("transfer", 0.5)
+        with contextlib.suppress(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+        return {"objects": []}
+
+    monkeypatch.setattr(bake, "bake", swallow)
+    assert cli.command(["--gltf", str(tmp_path / "a.glb")]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupt_waits_while_blender_starts():
+    with cli._Interrupts() as interrupts:
+        with interrupts.held():
+            os.kill(os.getpid(), signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
+        os.kill(os.getpid(), signal.SIGINT)  # again, while the first cleans up
 
 
 def test_progress_goes_to_stderr_and_results_to_stdout(capsys, cube):
