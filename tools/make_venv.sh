@@ -7,6 +7,10 @@ venv=$1
 python=${2:-}
 root=$(cd "$(dirname "$0")/.." && pwd)
 [ -n "$python" ] || python=$("$root/tools/find_python.sh")
+if ! "$python" -c 'import sys; sys.exit(sys.version_info[:2] not in {(3, 11), (3, 13)})'; then
+    echo "$python is no Python 3.13 or 3.11: Blender's wheels are for these" >&2
+    exit 2
+fi
 "$root/tools/system_packages.sh" "$python"
 
 key=$({ "$python" --version && echo "$root" && cat "$root/pyproject.toml"; } | sha256sum)
