@@ -58,9 +58,14 @@ def stamp_lines(stamp: Stamp) -> list[str]:
 
 
 def summary_lines(stamps: list[Stamp]) -> list[str]:
-    """Several bakes together: how many, how large, and the worst errors among them."""
+    """Several bakes together: how many, how large, how fast, and the worst of their errors."""
     points = sum(stamp.points for stamp in stamps)
-    return [f"{objects(len(stamps))}, {points:,} points", *_errors(stamps)]
+    mrays = sum(stamp.points * stamp.rays for stamp in stamps) / 1e6
+    seconds = sum(
+        stamp.points * stamp.rays / 1e6 / max(stamp.mrays_per_second, 1e-9) for stamp in stamps
+    )
+    speed = f"{mrays:,.1f} Mrays, {mrays / max(seconds, 1e-9):.1f} Mrays/s"
+    return [f"{objects(len(stamps))}, {points:,} points", speed, *_errors(stamps)]
 
 
 def advice(stamp: Stamp) -> str | None:

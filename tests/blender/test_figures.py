@@ -40,3 +40,10 @@ def test_an_object_is_not_one_objects():
 def test_a_coarse_mesh_is_told_from_too_few_rays(noise, error, coarse):
     mark = SimpleNamespace(estimated_error=noise, measured_error=error)
     assert (figures.advice(mark) is not None) == coarse
+
+
+def test_the_speed_of_several_bakes_is_all_rays_over_all_seconds():
+    common = {"points": 1_000_000, "rays": 100, "estimated_error": None, "measured_error": None}
+    slow = SimpleNamespace(**common, mrays_per_second=1.0)
+    fast = SimpleNamespace(**common, mrays_per_second=4.0)
+    assert figures.summary_lines([slow, fast])[1] == "200.0 Mrays, 1.6 Mrays/s"
