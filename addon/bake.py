@@ -39,7 +39,8 @@ def bake(
     settings: jobs.Settings,
     hdri: str | None = None,
 ) -> Steps:
-    """Bake the objects and light them; the report is the generator's value.
+    """Bake the objects and light them; the report is the generator's value, with what the artist
+    should know in ``notes``, one sentence each.
 
     ``hdri`` names an image that becomes the scene's world with the result; a cubemap, which no
     world can show, only lights the bake.
@@ -49,6 +50,7 @@ def bake(
         objects = _objects(object_names)
         scene.check_objects(objects)
         writeback.check(bpy.data.scenes[scene_name], objects, layout)
+        notes = writeback.notes(bpy.data.scenes[scene_name], objects)
         yield jobs.Progress("scene", 0.0)
         job, light = _read(scene_name, object_names, settings, hdri, folder)
         stamps = [
@@ -56,13 +58,16 @@ def bake(
             for obj, receiver in zip(_objects(object_names), job.receivers, strict=True)
         ]
         results = yield from engine.run(job, folder)
-    if hdri is not None and results.report["light"]["projection"] == "cubemap":
-        light = replace(light, follows=False)
-    elif hdri is not None:
-        world_file.assign(bpy.data.scenes[scene_name], hdri)
-    _write(scene_name, results, stamps, layout)
+    is_cubemap = results.report["light"]["projection"] == "cubemap"
+    if hdri is None or is_cubemap:
+        light = replace(light, follows=light.follows and not is_cubemap)
+        _write(scene_name, results, stamps, layout)
+    else:
+        with world_file.made(hdri) as its_world:
+            _write(scene_name, results, stamps, layout)
+        bpy.data.scenes[scene_name].world = its_world
     _set_light(scene_name, light, results.image_sh, baked=True)
-    return results.report
+    return {**results.report, "notes": notes}
 
 
 def verify(object_names: Sequence[str], settings: jobs.Settings) -> Steps:

@@ -64,6 +64,7 @@ def _run(asked: Options, check: Callable[[], None]) -> None:
     if not asked.outputs:
         sys.stderr.write("Nothing will be written: --save, --gltf and --report do\n")
     report = _finish(bake.bake(current.name, names, settings, world), check)
+    sys.stderr.writelines(f"{note}\n" for note in report["notes"])
     report["lamps_left_out"] = _lamps(current)
     with outputs.staged(asked.outputs) as places:
         _write(asked, places, names, report)

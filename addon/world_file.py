@@ -1,12 +1,25 @@
 """A world made from an HDRI on disk, for bakes that name one."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
 
 
-def assign(scene: bpy.types.Scene, path: str) -> None:
-    """Give ``scene`` a new world that shows the lat-long image at ``path``."""
+@contextmanager
+def made(path: str) -> Iterator[bpy.types.World]:
+    """A new world, not yet in use, that shows the lat-long image at ``path``; gone with its image
+    on an error inside."""
+    before = set(bpy.data.images) | set(bpy.data.worlds)
+    try:
+        yield _world(path)
+    except BaseException:
+        bpy.data.batch_remove((set(bpy.data.images) | set(bpy.data.worlds)) - before)
+        raise
+
+
+def _world(path: str) -> bpy.types.World:
     world = bpy.data.worlds.new(Path(path).stem)
     if world.node_tree is None:
         world.use_nodes = True
@@ -19,4 +32,4 @@ def assign(scene: bpy.types.Scene, path: str) -> None:
     texture.location, background.location, output.location = (-400, 0), (-100, 0), (100, 0)
     tree.links.new(texture.outputs["Color"], background.inputs["Color"])
     tree.links.new(background.outputs["Background"], output.inputs["Surface"])
-    scene.world = world
+    return world

@@ -105,8 +105,8 @@ class JobOperator:
         while True:
             try:
                 self._step()
-            except StopIteration:
-                return self._finish(context)
+            except StopIteration as end:
+                return self._finish(context, end.value)
 
     def _start_ticking(self, context: bpy.types.Context) -> Result:
         self._begin(context)
@@ -121,8 +121,8 @@ class JobOperator:
         before = self._run.progress
         try:
             self._advance()
-        except StopIteration:
-            return self._finish(context)
+        except StopIteration as end:
+            return self._finish(context, end.value)
         if self._run.progress != before:
             self._show(context)
         return {"PASS_THROUGH"}
@@ -141,8 +141,10 @@ class JobOperator:
             self._run.progress = progress
         return moved
 
-    def _finish(self, context: bpy.types.Context) -> Result:
+    def _finish(self, context: bpy.types.Context, report: dict[str, Any]) -> Result:
         self._end(context)
+        for note in report.get("notes", ()):
+            self.report({"WARNING"}, note)
         self.report({"INFO"}, self.done())
         return {"FINISHED"}
 

@@ -30,7 +30,7 @@ def asked(cube, monkeypatch):
     def job(*arguments):
         yield Progress("transfer", 0.5, 100, 1.0)
         calls.append(arguments)
-        return {"objects": []}
+        return {"objects": [], "notes": []}
 
     monkeypatch.setattr(bake, "bake", job)
     monkeypatch.setattr(gltf_export, "write", lambda path, _names: Path(path).write_bytes(b"glTF"))
@@ -184,7 +184,7 @@ def test_an_interrupt_that_blender_swallows_is_130_too(capsys, cube, monkeypatch
         yield Progress("transfer", 0.5)
         with contextlib.suppress(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
-        return {"objects": []}
+        return {"objects": [], "notes": []}
 
     monkeypatch.setattr(bake, "bake", swallow)
     assert cli.command(["--gltf", str(tmp_path / "a.glb")]) == 130

@@ -30,7 +30,7 @@ def runs(cube, monkeypatch):
     def job(*_arguments):
         yield Progress("transfer", 0.5)
         ran.append(True)
-        return {"objects": ["Ünï"]}
+        return {"objects": ["Ünï"], "notes": []}
 
     monkeypatch.setattr(bake, "bake", job)
     monkeypatch.setattr(gltf_export, "write", lambda path, _names: Path(path).write_bytes(b"glTF"))
@@ -54,7 +54,7 @@ def test_everything_asked_for_is_written_and_nothing_else(runs, tmp_path):
     assert cli.command(options_for(tmp_path)) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(NAMES.values())
     report = json.loads((tmp_path / NAMES["report"]).read_text("utf-8"))
-    assert report == {"objects": ["Ünï"], "lamps_left_out": []}
+    assert report == {"objects": ["Ünï"], "notes": [], "lamps_left_out": []}
     with bpy.data.libraries.load(str(tmp_path / NAMES["save"])) as (stored, _):
         assert stored.objects == ["Cube"]
 
