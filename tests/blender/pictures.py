@@ -16,7 +16,7 @@ def look_down(scene, width, height):
     scene.camera = bpy.data.objects.new("Camera", camera)
     scene.camera.location = width / 2, height / 2, 10
     scene.collection.objects.link(scene.camera)
-    scene.render.resolution_x, scene.render.resolution_y = 10 * width, 10 * height
+    scene.render.resolution_x, scene.render.resolution_y = round(10 * width), round(10 * height)
     scene.render.resolution_percentage = 100
 
 
@@ -29,20 +29,37 @@ def pixel_centres(scene):
 
 def render(scene, folder: Path, engine=EEVEE, samples=1):
     """Channels of the picture by name, "Combined.R" ..., each (H, W) float32, top row first."""
+    set_up(scene, engine, samples)
+    scene.render.filepath = str(folder / "picture.exr")
+    bpy.ops.render.render(write_still=True)
+    return _channels(folder / "picture.exr")
+
+
+def render_frames(scene, folder: Path, first, last):
+    """The colour (F, H, W, 3) of an animation in EEVEE, as Blender renders one."""
+    set_up(scene)
+    scene.frame_start, scene.frame_end = first, last
+    scene.render.filepath = str(folder / "frame_")
+    bpy.ops.render.render(animation=True)
+    paths = [folder / f"frame_{frame:04}.exr" for frame in range(first, last + 1)]
+    return np.stack([colour(_channels(path), "Combined") for path in paths])
+
+
+def set_up(scene, engine=EEVEE, samples=1):
+    """Small, plain and repeatable."""
     scene.render.engine = engine
     scene.render.filter_size = 0.0
     scene.render.use_compositing = scene.render.use_sequencer = False
     scene.eevee.taa_render_samples = samples
     scene.cycles.samples, scene.cycles.use_denoising = samples, False
     scene.cycles.pixel_filter_type, scene.cycles.seed = "BOX", 0
+    if scene.world is not None:
+        scene.world.probe_resolution = "128"
     image = scene.render.image_settings
     if bpy.app.version >= (5, 0):
         image.media_type = "MULTI_LAYER_IMAGE"
     image.file_format, image.color_depth = "OPEN_EXR_MULTILAYER", "32"
     image.exr_codec = "NONE"
-    scene.render.filepath = str(folder / "picture.exr")
-    bpy.ops.render.render(write_still=True)
-    return _channels(folder / "picture.exr")
 
 
 def colour(picture, name):
