@@ -107,7 +107,7 @@ def test_bakes_are_summed_up_and_stale_ones_counted(context):
     notes = drawn(result_panel.PRT_PT_result, context)
     assert notes[:2] == ["Together", "2 objects, 16 points"]
     assert notes[3] == "1.2 % noise, estimated"
-    assert notes[3].startswith("2 objects changed since the bake")
+    assert notes[4].startswith("2 objects changed since the bake")
 
 
 def test_a_stale_bake_says_why(context):
