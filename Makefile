@@ -2,6 +2,7 @@
 # make test     lint, types and every test
 # make venv     .venv/bin/prt-bake and all that it needs, nothing more
 # make package  the extension's zips, one a platform, in dist/
+# make bench    run time and errors of real inputs, into docs/benchmarks.md
 # make real-blender   the zip in a real Blender under Xvfb (root, Debian)
 #
 # PYTHON=... chooses the interpreter (3.13 or 3.11), VENV=... the folder of the environment
@@ -15,13 +16,16 @@ export MESA_SHADER_CACHE_DIR ?= $(CURDIR)/.cache/mesa
 export OPENBLAS_NUM_THREADS ?= 1
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 
-.PHONY: demo test venv lint format package wheels real-blender clean
+.PHONY: demo test bench venv lint format package wheels real-blender clean
 
 demo: venv
 	python tools/demo.py
 
 test: lint wheels $(VALIDATOR)
 	pytest
+
+bench: venv
+	python benchmarks/page.py
 
 venv:
 	@mkdir -p $(MESA_SHADER_CACHE_DIR)
