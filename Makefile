@@ -52,7 +52,7 @@ $(VALIDATOR): tests/gltf/package-lock.json | venv
 	@touch $@
 
 real-blender: wheels
-	pytest tools/real_blender
+	pytest -s tools/real_blender
 
 clean:
 	rm -rf build dist demo .cache .mypy_cache .pytest_cache .ruff_cache
