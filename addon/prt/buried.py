@@ -20,7 +20,6 @@ Array = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 RAYS = 16
-RINGS = 2  # of points that are filled, from the sound ones inwards
 CHUNK = 4096  # points
 
 
@@ -42,16 +41,13 @@ def buried(origins: Array, normals: Array, transfer: npt.NDArray, occlusion: Occ
 
 
 def fill(points: Points, receiver: Receiver, transfer: Array, hidden: Mask) -> None:
-    """Give the ``hidden`` points near sound ones their darkest neighbour's ``transfer`` (P, n²)."""
+    """Give ``hidden`` points that share a triangle with sound ones the darkest one's ``transfer``
+    (P, n²)."""
     corners = points.element_points[element_triangles(receiver)]
     corners = corners[(corners >= 0).all(axis=1) & hidden[corners].any(axis=1)]
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     pairs = np.concatenate([sides, sides[:, ::-1]])
-    pairs = pairs[hidden[pairs[:, 0]]]
-    missing = hidden.copy()
-    for _ in range(RINGS):
-        usable = pairs[missing[pairs[:, 0]] & ~missing[pairs[:, 1]]]
-        darkest_first = usable[np.lexsort((transfer[usable[:, 1], 0], usable[:, 0]))]
-        filled, first = np.unique(darkest_first[:, 0], return_index=True)
-        transfer[filled] = transfer[darkest_first[first, 1]]
-        missing[filled] = False
+    pairs = pairs[hidden[pairs[:, 0]] & ~hidden[pairs[:, 1]]]
+    darkest_first = pairs[np.lexsort((transfer[pairs[:, 1], 0], pairs[:, 0]))]
+    filled, first = np.unique(darkest_first[:, 0], return_index=True)
+    transfer[filled] = transfer[darkest_first[first, 1]]

@@ -21,6 +21,7 @@ Index = npt.NDArray[np.int64]
 INWARD = 0.01  # share of the way to the host's centroid
 BIAS = 2.0**-19  # of the largest coordinate nearby: 16 steps of float32
 NORMAL_STEPS = 2**14  # normals closer than one step are one
+MIXERS = np.random.default_rng(0).integers(2**63, 2**64, 6, np.uint64) | np.uint64(1)
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Surface:
         """The surface of ``receiver``."""
         corners = receiver.vertices.astype(np.float64)[receiver.triangles]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        double_area = np.linalg.norm(cross, axis=1)
+        double_area = np.sqrt(np.einsum("fc,fc->f", cross, cross))
         solid = double_area > 0
         normals = cross / np.where(solid, double_area, 1)[:, None]
         return cls(corners, normals, solid, 0.5 * double_area)
@@ -83,10 +84,10 @@ def distinct_points(receiver: Receiver) -> Points:
 
 def _hosts(receiver: Receiver, surface: Surface) -> Index:
     """For each element the triangle with the widest angle there, -1 where there is none."""
-    after = np.roll(surface.corners, -1, axis=1) - surface.corners
-    before = np.roll(surface.corners, 1, axis=1) - surface.corners
-    lengths = np.linalg.norm(after, axis=2) * np.linalg.norm(before, axis=2)
-    cosine = (after * before).sum(axis=2) / np.where(lengths > 0, lengths, 1)
+    sides = surface.corners[:, [1, 2, 0]] - surface.corners  # from each corner to the next
+    lengths = np.sqrt(np.einsum("fkc,fkc->fk", sides, sides))
+    lengths *= lengths[:, [2, 0, 1]]
+    cosine = np.einsum("fkc,fkc->fk", sides, -sides[:, [2, 0, 1]]) / np.where(lengths, lengths, 1)
     cosine[~surface.solid] = np.inf
     elements = element_triangles(receiver)
     widest = np.full(len(receiver.normals), np.inf)
@@ -107,8 +108,11 @@ def _sound_normals(normals: npt.NDArray[np.float32], geometric: Float) -> Float:
 def _distinct(positions: npt.NDArray[np.float32], normals: Float) -> tuple[Index, Index]:
     """First occurrences (P,) of distinct (position, normal), and each row's place among them."""
     steps = np.rint(normals * NORMAL_STEPS).astype(np.int32)
-    keys = np.concatenate([steps, (positions + np.float32(0)).view(np.int32)], axis=1)
-    order = np.lexsort(keys.T)
+    keys = np.concatenate(
+        [steps, (positions.astype(np.float32) + np.float32(0)).view(np.int32)], axis=1
+    )
+    mixed = (keys.astype(np.uint64) * MIXERS).sum(axis=1, dtype=np.uint64)
+    order = np.argsort(mixed, kind="stable")  # equal keys stand together, which is all it takes
     is_new = np.ones(len(keys), bool)
     is_new[1:] = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)
     place = np.empty(len(keys), np.int64)
@@ -138,7 +142,8 @@ def lift(inside: Float, vertices: Float, normals: Float) -> Float:
 
 def surface_bias(corners: Float) -> Float:
     """The offset (P, 1) off triangles with ``corners`` (P, 3, 3)."""
-    return np.maximum(BIAS * np.abs(corners).max(axis=(1, 2)), 1e-30)[:, None]
+    largest = np.maximum.reduce(np.abs(corners).reshape(-1, 9).T.copy())
+    return np.asarray(np.maximum(BIAS * largest, 1e-30)[:, None])
 
 
 def morton_order(positions: Float) -> Index:

@@ -59,7 +59,7 @@ def baked():
             return receiver, stop.value
 
 
-def test_the_first_rings_take_what_lies_outside(baked):
+def test_the_first_ring_takes_what_lies_outside(baked):
     receiver, results = baked
     shown = results.receivers[0].element_transfer()[:, 0, 0]
     places = receiver.vertices[receiver.corner_vertices]
