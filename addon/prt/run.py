@@ -4,7 +4,6 @@ import platform
 import sys
 import time
 from collections.abc import Generator, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -86,10 +85,9 @@ def _transfer(
 ) -> Generator[Progress, None, tuple[ReceiverResult, ...]]:
     """Bake or verify every receiver of ``job``, with an entry of the report for each."""
     yield meter.progress("prepare")
-    with meter.phase("prepare"), ThreadPoolExecutor(1) as pool:
-        building = pool.submit(occlusion, job.occluder_vertices, job.occluder_triangles)
+    with meter.phase("prepare"):
         points = [distinct_points(receiver) for receiver in job.receivers]
-        sky = building.result()
+        sky = occlusion(job.occluder_vertices, job.occluder_triangles)
     meter.rays_expected = _rays_expected(job, points)
     results: list[ReceiverResult] = []
     for receiver, its_points in zip(job.receivers, points, strict=True):
