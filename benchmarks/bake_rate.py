@@ -70,7 +70,7 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--rays", type=int, default=256)
     asked = parser.parse_args()
-    job = knot_job(3000, 70, asked.rays)
+    job = knot_job(2200, 48, asked.rays)
     rays, sky = same_rays(job), occlusion(job.occluder_vertices, job.occluder_triangles)
     threads = available_cores()
     turns = [(bare_loop(sky, rays, threads), whole_bake(job)) for _ in range(asked.turns)]
