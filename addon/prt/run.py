@@ -92,16 +92,15 @@ def _transfer(
     results: list[ReceiverResult] = []
     for receiver, its_points in zip(job.receivers, points, strict=True):
         entry: Entry = {"name": receiver.name}
-        shown = receiver
         if job.kind == "bake":
             result = yield from _bake(
                 receiver, its_points, sky, job.settings, meter=meter, entry=entry
             )
             results.append(result)
-            shown = replace(receiver, transfer=result.element_transfer())
         if job.settings.verify_points:
             with meter.phase("verify"):
-                steps = measure(shown, its_points, sky, job.settings)
+                shown = results[-1].element_transfer() if results else receiver.transfer
+                steps = measure(replace(receiver, transfer=shown), its_points, sky, job.settings)
                 measured = yield from meter.follow("verify", steps)
             entry["measured_error"] = asdict(measured)
         entries.append(entry)
