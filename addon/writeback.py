@@ -90,7 +90,7 @@ def _prepare(
 ) -> _Prepared:
     """Everything that can fail, before the object is touched."""
     domain = its_stamp.domain
-    values = layouts.pack(layout, result.element_transfer())
+    values = layouts.pack(layout, result.at_elements(result.transfer))
     with carrier.evaluated_mesh(obj, depsgraph) as mesh:
         expected = len(mesh.vertices if domain == "POINT" else mesh.loops)
     if len(values) != expected:

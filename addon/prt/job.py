@@ -10,7 +10,8 @@ sub-folder ``results``, which exists only when all of it is there.
                             with ``centre`` subtracted
     image.npy               the pixels of a world that is no file, (H, W, 3) float32
     progress.jsonl          one line a step, see ``Progress``
-    results/                light.npy, 0_transfer.npy, 0_element_points.npy, report.json
+    results/                light.npy, 0_transfer.npy, 0_residual.npy, 0_visibility.npy,
+                            0_element_points.npy, report.json
 """
 
 import hashlib
@@ -36,10 +37,27 @@ LIGHT_ORDER = 5  # the light is always projected to this order: a bake of a lowe
 
 @dataclass(frozen=True)
 class Settings:
-    """What the artist chose.  ``threads`` 0 means every core and changes no result."""
+    """What the artist chose.
+
+    ``rays`` a point, unless ``tolerance``, a relative error of the transfer, is given: then as many
+    as that takes.  ``fit`` lets values at vertices be fitted to samples inside the triangles.
+    ``residual`` stores what the light's order leaves out, for ``turns`` turns of the world about Z,
+    found with ``map_rays`` more candidates a point.  Up to ``peaks`` suns and lamps are cut out of
+    the map.  ``final_light`` says that the light will not change, so that what it doesn't show
+    need not be stored.  ``threads`` 0 means every core and changes no result; nor does ``cache``, a
+    folder that keeps what was traced, "" for none.
+    """
 
     order: int = 3
     rays: int = 256
+    tolerance: float = 0.0
+    fit: bool = True
+    residual: bool = True
+    map_rays: int = 258
+    turns: int = 1
+    peaks: int = 0
+    final_light: bool = False
+    cache: str = ""
     seed: int = 0
     threads: int = 0
     verify_points: int = 0
@@ -73,8 +91,9 @@ class Receiver:
     ``vertices`` (V, 3) float64, ``triangles`` (F, 3) int32 into the vertices, wound so that the
     geometric normal points out (mirrored objects too), ``triangle_corners`` (F, 3) int32 into the
     corners, ``corner_vertices`` (C,) int32, ``normals`` float32 unit shading normals: (V, 3) where
-    ``domain`` is POINT, (C, 3) where it is CORNER.  ``transfer`` (E, channels, n²) float32, one for
-    each element of the domain, is given for a job that verifies a bake.
+    ``domain`` is POINT, (C, 3) where it is CORNER.  ``transfer`` (E, channels, n²) and
+    ``residual`` (E, turns, 3) float32, one for each element of the domain, are given for a job that
+    verifies a bake.
     """
 
     name: str
@@ -85,6 +104,7 @@ class Receiver:
     corner_vertices: Array
     normals: Array
     transfer: Array | None = None
+    residual: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -119,38 +139,66 @@ class Progress:
 
 @dataclass(frozen=True)
 class ReceiverResult:
-    """Baked: ``transfer`` (P, channels, n²) float32 of the traced points, and for each element of
-    the domain the point that it shows, ``element_points`` (E,) int32, -1 where it has none."""
+    """Baked values of P distinct points, float32: ``transfer`` (P, channels, n²), ``residual``
+    (P, turns, 3), exit radiance of a white surface that the transfer misses at the baked light, and
+    ``visibility`` (P, lights) of the lights cut out; turns and lights may be 0.  For each element
+    of the domain the point that it shows, ``element_points`` (E,) int32, -1 where it has none."""
 
     name: str
     transfer: Array
     element_points: Array
+    residual: Array = field(default_factory=lambda: np.empty((0, 0, 3), np.float32))
+    visibility: Array = field(default_factory=lambda: np.empty((0, 0), np.float32))
 
-    def element_transfer(self) -> Array:
-        """Transfer (E, channels, n²) at every vertex or corner, 0 where nothing was traced."""
-        values: Array = self.transfer[self.element_points]
-        values[self.element_points < 0] = 0
-        return values
+    def __post_init__(self) -> None:
+        """Without residual or lights: arrays of the right length."""
+        for name in ("residual", "visibility"):
+            value = getattr(self, name)
+            if not value.size:
+                shape = (len(self.transfer), *value.shape[1:])
+                object.__setattr__(self, name, np.empty(shape, np.float32))
+
+    def at_elements(self, values: Array) -> Array:
+        """``values`` (P, ...), one of the arrays above, at every vertex or corner (E, ...), 0 where
+        nothing was traced."""
+        shown: Array = values[self.element_points]
+        shown[self.element_points < 0] = 0
+        return shown
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A sun or lamp cut out of the map, as it stood in the world when it was baked: ``direction``
+    to it, ``irradiance`` (W m⁻²) of a surface that faces it, and its ``angular_radius``."""
+
+    direction: Vector
+    irradiance: Vector
+    angular_radius: float
 
 
 @dataclass(frozen=True)
 class Results:
     """What a run leaves: ``image_sh`` (25, 3) float64 is the light's image (or 1, where there is
-    none) unrotated and without its strength; ``report`` is the JSON report."""
+    none) unrotated and without its strength, its peaks included; ``peaks`` are those that the
+    receivers' visibilities belong to; ``report`` is the JSON report."""
 
     image_sh: Array | None
     receivers: tuple[ReceiverResult, ...]
     report: dict[str, Any]
+    peaks: tuple[Peak, ...] = ()
 
 
 RECEIVER_ARRAYS = ("vertices", "triangles", "triangle_corners", "corner_vertices", "normals")
+RESULT_ARRAYS = ("transfer", "element_points", "residual", "visibility")
+SHOWN = ("transfer", "residual")
 RESULTS = "results"
 
 
 def content_hash(job: Job) -> str:
     """Names the result: equal jobs give equal bits, whatever ``threads`` is."""
     digest = hashlib.blake2b(digest_size=16)
-    settings = {k: v for k, v in asdict(job.settings).items() if k != "threads"}
+    without = ("threads", "cache")
+    settings = {k: v for k, v in asdict(job.settings).items() if k not in without}
     receivers = [(r.name, r.domain) for r in job.receivers]
     light = _light_header(job.light) or {}
     image, _ = light.pop("image", None), light.pop("title", None)
@@ -179,7 +227,7 @@ def write(job: Job, folder: Path) -> None:
     for name, array in _arrays(job, centre):
         np.save(folder / f"{name}.npy", array)
     receivers = [
-        {"name": r.name, "domain": r.domain, "has_transfer": r.transfer is not None}
+        {"name": r.name, "domain": r.domain, "shown": [n for n in SHOWN if _has(r, n)]}
         for r in job.receivers
     ]
     values = {
@@ -215,9 +263,13 @@ def write_results(results: Results, folder: Path) -> None:
     if results.image_sh is not None:
         np.save(unfinished / "light.npy", results.image_sh)
     for i, result in enumerate(results.receivers):
-        np.save(unfinished / f"{i}_transfer.npy", result.transfer)
-        np.save(unfinished / f"{i}_element_points.npy", result.element_points)
-    report = {"names": [r.name for r in results.receivers], "report": results.report}
+        for name in RESULT_ARRAYS:
+            np.save(unfinished / f"{i}_{name}.npy", getattr(result, name))
+    report = {
+        "names": [r.name for r in results.receivers],
+        "peaks": [asdict(peak) for peak in results.peaks],
+        "report": results.report,
+    }
     (unfinished / "report.json").write_text(json.dumps(report), encoding="utf-8")
     unfinished.rename(folder / RESULTS)
 
@@ -227,13 +279,16 @@ def read_results(folder: Path) -> Results:
     done = folder / RESULTS
     values = json.loads((done / "report.json").read_text(encoding="utf-8"))
     receivers = tuple(
-        ReceiverResult(
-            name, np.load(done / f"{i}_transfer.npy"), np.load(done / f"{i}_element_points.npy")
-        )
+        ReceiverResult(name, *(np.load(done / f"{i}_{array}.npy") for array in RESULT_ARRAYS))
         for i, name in enumerate(values["names"])
     )
     light = done / "light.npy"
-    return Results(np.load(light) if light.exists() else None, receivers, values["report"])
+    image_sh = np.load(light) if light.exists() else None
+    peaks = tuple(
+        Peak(tuple(p["direction"]), tuple(p["irradiance"]), p["angular_radius"])
+        for p in values["peaks"]
+    )
+    return Results(image_sh, receivers, values["report"], peaks)
 
 
 def _centre(job: Job) -> Array:
@@ -256,8 +311,9 @@ def _arrays(job: Job, centre: Array | None) -> Iterator[tuple[str, Array]]:
         for name in RECEIVER_ARRAYS:
             array = getattr(receiver, name)
             yield f"{i}_{name}", _centred(array, centre) if name == "vertices" else array
-        if receiver.transfer is not None:
-            yield f"{i}_transfer", receiver.transfer
+        for name in SHOWN:
+            if _has(receiver, name):
+                yield f"{i}_{name}", getattr(receiver, name)
     if job.light is not None and job.light.pixels is not None:
         yield "image", job.light.pixels
 
@@ -284,8 +340,12 @@ def _read_light(values: dict[str, Any] | None, folder: Path) -> LightSource | No
 
 def _read_receiver(folder: Path, i: int, values: dict[str, Any]) -> Receiver:
     arrays = {name: _load(folder, f"{i}_{name}") for name in RECEIVER_ARRAYS}
-    transfer = _load(folder, f"{i}_transfer") if values["has_transfer"] else None
-    return Receiver(values["name"], values["domain"], **arrays, transfer=transfer)
+    shown = {name: _load(folder, f"{i}_{name}") for name in values["shown"]}
+    return Receiver(values["name"], values["domain"], **arrays, **shown)
+
+
+def _has(receiver: Receiver, name: str) -> bool:
+    return getattr(receiver, name) is not None
 
 
 def _load(folder: Path, name: str) -> Array:

@@ -99,7 +99,9 @@ def _transfer(
             results.append(result)
         if job.settings.verify_points:
             with meter.phase("verify"):
-                shown = results[-1].element_transfer() if results else receiver.transfer
+                shown = (
+                    results[-1].at_elements(results[-1].transfer) if results else receiver.transfer
+                )
                 steps = measure(replace(receiver, transfer=shown), its_points, sky, job.settings)
                 measured = yield from meter.follow("verify", steps)
             entry["measured_error"] = asdict(measured)

@@ -88,7 +88,7 @@ def computed(objects, settings, folder):
         try:
             next(steps)
         except StopIteration as end:
-            return [result.element_transfer() for result in end.value.receivers]
+            return [result.at_elements(result.transfer) for result in end.value.receivers]
 
 
 def kinds(scene):

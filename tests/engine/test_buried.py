@@ -61,7 +61,7 @@ def baked():
 
 def test_the_first_ring_takes_what_lies_outside(baked):
     receiver, results = baked
-    shown = results.receivers[0].element_transfer()[:, 0, 0]
+    shown = results.receivers[0].at_elements(results.receivers[0].transfer)[:, 0, 0]
     places = receiver.vertices[receiver.corner_vertices]
     border = inside(places) & (np.abs(places[:, :2]).max(axis=1) > 0.4)
     deep = np.abs(places[:, :2]).max(axis=1) < 0.2

@@ -82,4 +82,4 @@ def test_results_are_whole_or_absent(tmp_path):
 def test_elements_without_a_point_show_nothing():
     transfer = np.ones((2, 1, 4), np.float32)
     result = jobs.ReceiverResult("a", transfer, np.array([1, -1], np.int32))
-    np.testing.assert_array_equal(result.element_transfer()[:, 0, 0], [1, 0])
+    np.testing.assert_array_equal(result.at_elements(result.transfer)[:, 0, 0], [1, 0])

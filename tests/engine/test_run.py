@@ -67,7 +67,7 @@ def test_the_report_adds_up(job):
 def test_a_verified_bake_measures_what_the_bake_measured(job):
     _, baked = finish(run(job))
     receivers = tuple(
-        replace(r, transfer=result.element_transfer())
+        replace(r, transfer=result.at_elements(result.transfer))
         for r, result in zip(job.receivers, baked.receivers, strict=True)
     )
     _, verified = finish(run(replace(job, kind="verify", light=None, receivers=receivers)))
@@ -77,7 +77,7 @@ def test_a_verified_bake_measures_what_the_bake_measured(job):
 
 def test_verify_sees_a_wrong_bake(job):
     _, baked = finish(run(job))
-    wrong = [result.element_transfer() * 1.2 for result in baked.receivers]
+    wrong = [result.at_elements(result.transfer) * 1.2 for result in baked.receivers]
     receivers = tuple(replace(r, transfer=t) for r, t in zip(job.receivers, wrong, strict=True))
     _, verified = finish(run(replace(job, kind="verify", light=None, receivers=receivers)))
     assert verified.report["objects"][0]["measured_error"]["at_points"] == pytest.approx(
