@@ -1,21 +1,20 @@
-"""The scene as arrays: which meshes are baked, and what stands in the light's way.
+"""The scene as arrays: which meshes are baked.
 
 Everything is read from the evaluated depsgraph, so with modifiers, shape keys and instances.
 """
 
 import hashlib
-from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
 from . import scene_meshes as meshes
+from . import scene_occluders
 from .prt.errors import BakeError
 from .prt.job import Array, Domain, Receiver
-from .scene_visibility import Rendered, scene_objects
+from .scene_visibility import scene_objects
 
 SIGNED = ("position", ".corner_vert", "sharp_face", "sharp_edge")
 
@@ -131,57 +130,10 @@ def _normals(mesh: bpy.types.Mesh) -> tuple[Domain, Array]:
     return "CORNER", meshes.corner_normals(mesh)
 
 
-@dataclass(frozen=True)
-class _Occluder:
-    """A mesh in its own space, whatever the number of its instances: vertices (V, 3) float32, the
-    triangles (F, 3) int32 that can stop light, and how many cannot, by reason."""
-
-    vertices: Array
-    triangles: Array
-    repairs: Counter[str]
-
-
 def read_occluders(depsgraph: bpy.types.Depsgraph) -> tuple[Array, Array, dict[str, int]]:
-    """All that stops light, in world space: vertices (V, 3) float64, triangles (F, 3) int32, and
-    how many triangles were left out, by reason.
-
-    Curves, texts, surfaces and metaballs are there too: the depsgraph lists each a second time, as
-    an instance of the mesh that it makes.
-    """
-    rendered = Rendered(depsgraph.view_layer)
-    read: dict[int, _Occluder] = {}
-    vertices, triangles, start = [np.empty((0, 3))], [np.empty((0, 3), np.int32)], 0
-    repairs = Counter(dropped_triangles=0, zero_area_triangles=0)
-    for instance in depsgraph.object_instances:
-        if instance.object.type != "MESH" or not rendered.casts_shadow(instance):
-            continue
-        key = instance.object.data.as_pointer()
-        if key not in read:
-            read[key] = _read_occluder(instance.object)
-        occluder, matrix = read[key], instance.matrix_world
-        repairs.update(occluder.repairs)
-        if not meshes.placed(np.array(matrix)).all():
-            repairs["dropped_triangles"] += len(occluder.triangles)
-            continue
-        vertices.append(meshes.to_world(occluder.vertices, matrix))
-        triangles.append(meshes.outward(occluder.triangles, matrix) + np.int32(start))
-        start += len(occluder.vertices)
-    return np.concatenate(vertices), np.concatenate(triangles), dict(repairs)
-
-
-def _read_occluder(obj: bpy.types.Object) -> _Occluder:
-    """The mesh of an evaluated object.  From ``to_mesh`` and not from its data, because a
-    subdivision that the GPU does is only in the former."""
-    mesh = obj.to_mesh()
-    vertices = meshes.positions(mesh)
-    triangles = meshes.corner_vertices(mesh)[meshes.triangle_corners(mesh)]
-    obj.to_mesh_clear()
-    placed = meshes.placed(vertices)
-    vertices[~placed] = 0
-    finite = triangles[placed[triangles].all(axis=1)]
-    solid = finite[meshes.solid(vertices, finite)]
-    dropped, flat = len(triangles) - len(finite), len(finite) - len(solid)
-    return _Occluder(vertices, solid, Counter(dropped_triangles=dropped, zero_area_triangles=flat))
+    """All that stops light as one mesh, see ``scene_occluders.read``, without its parts."""
+    found = scene_occluders.read(depsgraph)
+    return found.vertices, found.triangles, found.repairs
 
 
 def mesh_signature(obj: bpy.types.Object) -> str:

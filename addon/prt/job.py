@@ -6,6 +6,7 @@ sub-folder ``results``, which exists only when all of it is there.
     settings.json           kind, settings, light, names and domains of the receivers, the centre
     occluder_vertices.npy   (V, 3) float32, world axes, ``centre`` subtracted in float64
     occluder_triangles.npy  (F, 3) int32
+    occluder_starts.npy     (O + 1,) int64, see ``Job``
     0_vertices.npy ...      the arrays of receiver 0, see ``Receiver``; its vertices are float32
                             with ``centre`` subtracted
     image.npy               the pixels of a world that is no file, (H, W, 3) float32
@@ -18,6 +19,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, fields
+from math import ceil, log2
 from pathlib import Path
 from typing import Any, Literal
 
@@ -109,7 +111,12 @@ class Receiver:
 
 @dataclass(frozen=True)
 class Job:
-    """All that a run of the engine reads; ``occluder_vertices`` (V, 3) float64 in world space."""
+    """All that a run of the engine reads; ``occluder_vertices`` (V, 3) float64 in world space.
+
+    Occluder k, an object or an instance, is the triangles from ``occluder_starts[k]`` up to
+    ``occluder_starts[k + 1]``, and shares no vertex with another one.  ``occluder_starts`` (O + 1,)
+    int64; by default all is one part, or none where there are no triangles.
+    """
 
     kind: Kind = "bake"
     settings: Settings = Settings()
@@ -118,6 +125,16 @@ class Job:
     occluder_vertices: Array = field(default_factory=lambda: np.empty((0, 3)))
     occluder_triangles: Array = field(default_factory=lambda: np.empty((0, 3), np.int32))
     repairs: dict[str, int] = field(default_factory=dict)
+    occluder_starts: Array = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def __post_init__(self) -> None:
+        """One part where none are given; ValueError where the parts are not of these triangles."""
+        count = len(self.occluder_triangles)
+        if not len(self.occluder_starts):
+            starts = np.array([0, count] if count else [0], np.int64)
+            object.__setattr__(self, "occluder_starts", starts)
+        if self.occluder_starts[0] != 0 or self.occluder_starts[-1] != count:
+            raise ValueError("occluder_starts do not cover the triangles")
 
 
 @dataclass(frozen=True)
@@ -253,6 +270,7 @@ def read(folder: Path) -> Job:
         occluder_vertices=_load(folder, "occluder_vertices"),
         occluder_triangles=_load(folder, "occluder_triangles"),
         repairs=values["repairs"],
+        occluder_starts=_load(folder, "occluder_starts"),
     )
 
 
@@ -292,12 +310,16 @@ def read_results(folder: Path) -> Results:
 
 
 def _centre(job: Job) -> Array:
-    """The middle of the receivers' bounds: float32 is finest where we bake."""
+    """The middle of the receivers' bounds, as float32 is finest where we bake, on a grid of powers
+    of two as coarse as they are large: so a receiver that moves a little leaves the arrays of all
+    others as they were, and a scene about the origin stays where it is."""
     bounds = [e for r in job.receivers if len(r.vertices) for e in _bounds(r.vertices)]
     if not bounds:
         return np.zeros(3)
     low, high = _bounds(np.array(bounds))
-    return np.asarray(0.5 * (low + high))
+    extent = max(float((high - low).max()), float(np.finfo(np.float32).tiny))
+    step = 2.0 ** (ceil(log2(extent)) + 1)
+    return np.asarray(np.rint(0.5 * (low + high) / step) * step + 0.0)
 
 
 def _bounds(vertices: Array) -> tuple[Array, Array]:
@@ -307,6 +329,7 @@ def _bounds(vertices: Array) -> tuple[Array, Array]:
 def _arrays(job: Job, centre: Array | None) -> Iterator[tuple[str, Array]]:
     yield "occluder_vertices", _centred(job.occluder_vertices, centre)
     yield "occluder_triangles", np.asarray(job.occluder_triangles, np.int32)
+    yield "occluder_starts", np.asarray(job.occluder_starts, np.int64)
     for i, receiver in enumerate(job.receivers):
         for name in RECEIVER_ARRAYS:
             array = getattr(receiver, name)
@@ -319,7 +342,12 @@ def _arrays(job: Job, centre: Array | None) -> Iterator[tuple[str, Array]]:
 
 
 def _centred(vertices: Array, centre: Array | None) -> Array:
-    return vertices if centre is None else (vertices - centre).astype(np.float32)
+    """float32 of differences in float64, with no float64 array between."""
+    if centre is None:
+        return vertices
+    centred = np.empty(vertices.shape, np.float32)
+    np.subtract(vertices, centre, out=centred, dtype=np.float64, casting="same_kind")
+    return centred
 
 
 def _light_header(light: LightSource | None) -> dict[str, Any] | None:

@@ -18,12 +18,13 @@ from meshes import (
     place,
     scattered,
 )
-from prt_baker.addon import scene as scene_arrays
+from prt_baker.addon import scene_occluders
 from prt_baker.addon.scene_visibility import Rendered
 
 
 def occluders():
-    return scene_arrays.read_occluders(bpy.context.evaluated_depsgraph_get())
+    found = scene_occluders.read(bpy.context.evaluated_depsgraph_get())
+    return found.vertices, found.triangles, found.repairs
 
 
 @pytest.mark.parametrize("kind", ["text", "curve", "surface", "metaball", "nodes", "instance"])
@@ -95,11 +96,30 @@ def test_shared_meshes_are_read_once(scene, monkeypatch):
     for i in range(20):
         place(mesh, matrix=Matrix.Translation((3 * i, 0, 0)))
     read = []
-    once = scene_arrays._read_occluder
-    monkeypatch.setattr(scene_arrays, "_read_occluder", lambda o: read.append(o) or once(o))
+    once = scene_occluders._read_mesh
+    monkeypatch.setattr(scene_occluders, "_read_mesh", lambda o: read.append(o) or once(o))
     _, triangles, _ = occluders()
     assert len(read) == 1
     assert len(triangles) == 20 * len(mesh.polygons)
+
+
+def test_every_object_and_instance_is_a_part_of_its_own(scene):
+    mesh = cube()
+    place(mesh)
+    place(bpy.data.meshes.new("Empty"))
+    place(ball(), matrix=MIRRORED)
+    collection = bpy.data.collections.new("Inner")
+    place(mesh, collection=collection)
+    for x in (5, 10):
+        instance_of(collection, matrix=Matrix.Translation((x, 0, 0)))
+    found = scene_occluders.read(bpy.context.evaluated_depsgraph_get())
+    assert found.starts[-1] == len(found.triangles)
+    parts = [found.triangles[a:b] for a, b in zip(found.starts, found.starts[1:], strict=False)]
+    assert sorted(map(len, parts))[:3] == [12, 12, 12]
+    assert len(parts) == 4
+    assert len(set.union(*(set(part.flat) for part in parts))) == sum(
+        len(set(part.flat)) for part in parts
+    )
 
 
 class Listing(bpy.types.RenderEngine):
@@ -220,3 +240,4 @@ def test_an_empty_scene_has_no_occluders(scene):
     vertices, triangles, _ = occluders()
     assert vertices.shape == (0, 3)
     assert triangles.shape == (0, 3)
+    assert scene_occluders.read(bpy.context.evaluated_depsgraph_get()).starts.tolist() == [0]

@@ -31,9 +31,52 @@ def test_vertices_are_centred_in_double_precision(job, tmp_path):
     vertices = job.occluder_vertices + far
     jobs.write(replace(job, receivers=(moved,), occluder_vertices=vertices), tmp_path)
     read = jobs.read(tmp_path)
-    expected = job.occluder_vertices - [10.5, 0.5, 0]
+    expected = job.occluder_vertices - [10, 0, 0]
     np.testing.assert_allclose(read.receivers[0].vertices, expected, atol=1e-9)
     np.testing.assert_array_equal(read.receivers[0].vertices, read.occluder_vertices)
+
+
+def test_a_small_move_leaves_the_others_as_they_were(job, tmp_path):
+    far = [1e5, -1e5, 0]
+    seen = []
+    for i, shift in enumerate((0, 0.1, -0.3)):
+        (tmp_path / str(i)).mkdir()
+        receiver = replace(
+            job.receivers[0], vertices=job.receivers[0].vertices + far + [shift, 0, 0]
+        )
+        moved = replace(job, receivers=(receiver,), occluder_vertices=job.occluder_vertices + far)
+        jobs.write(moved, tmp_path / str(i))
+        seen.append(np.array(jobs.read(tmp_path / str(i)).occluder_vertices))
+    np.testing.assert_array_equal(seen[0], seen[1])
+    np.testing.assert_array_equal(seen[0], seen[2])
+    assert np.abs(seen[0]).max() < 4
+
+
+@pytest.mark.parametrize("size", [1e-6, 1, 3e5])
+def test_receivers_stay_within_three_times_their_size_of_the_centre(job, tmp_path, size):
+    place = np.array([12345.6, -77.7, 9e5])
+    vertices = job.receivers[0].vertices * size + place
+    jobs.write(replace(job, receivers=(replace(job.receivers[0], vertices=vertices),)), tmp_path)
+    assert np.abs(jobs.read(tmp_path).receivers[0].vertices).max() <= 3 * size
+
+
+def test_a_scene_about_the_origin_stays_where_it_is(job, tmp_path):
+    vertices = job.receivers[0].vertices - [10, 0, 0]
+    jobs.write(replace(job, receivers=(replace(job.receivers[0], vertices=vertices),)), tmp_path)
+    np.testing.assert_array_equal(jobs.read(tmp_path).receivers[0].vertices, vertices)
+
+
+def test_occluders_are_one_part_unless_told_apart(job, tmp_path):
+    assert job.occluder_starts.tolist() == [0, 8]
+    assert jobs.Job().occluder_starts.tolist() == [0]
+    jobs.write(replace(job, occluder_starts=np.array([0, 3, 8])), tmp_path)
+    assert jobs.read(tmp_path).occluder_starts.tolist() == [0, 3, 8]
+
+
+@pytest.mark.parametrize("starts", [[0, 7], [1, 8], [0, 3]])
+def test_parts_of_other_triangles_are_refused(job, starts):
+    with pytest.raises(ValueError, match="cover"):
+        replace(job, occluder_starts=np.array(starts))
 
 
 def test_hash_ignores_threads_and_sees_everything_else(job):
@@ -47,7 +90,8 @@ def test_hash_ignores_threads_and_sees_everything_else(job):
         replace(job, light=replace(job.light, strength=(1, 2, 4))),
         replace(job, light=replace(job.light, pixels=job.light.pixels * 2)),
         replace(job, receivers=(moved,)),
-        replace(job, occluder_triangles=job.occluder_triangles[:-1]),
+        replace(job, occluder_triangles=job.occluder_triangles[::-1]),
+        replace(job, occluder_starts=np.array([0, 4, 8])),
     ]
     assert len({base, *map(jobs.content_hash, others)}) == len(others) + 1
 
