@@ -15,6 +15,7 @@ from . import sh
 
 Array = npt.NDArray[np.float32]
 GOLDEN_ANGLE = pi * (3 - 5**0.5)
+GROUP = 16  # points whose rays and sums are one product
 
 
 @dataclass(frozen=True)
@@ -102,20 +103,33 @@ class RaysInWorld:
     """
 
     def __init__(self, directions: Array) -> None:
-        count = len(directions)
+        self.count = count = len(directions)
         arranged = np.zeros((3, 3, count, 3), np.float32)
         for c in range(3):
             arranged[c, :, :, c] = directions.T
         self._arranged = arranged.reshape(9, 3 * count)
         self._repeat = np.tile(np.eye(3, dtype=np.float32), count)
 
-    def directions(self, matrices: Array, out: Array) -> None:
-        """Directions of frames (P, 3, 3) into ``out`` (P * N, 3)."""
-        np.matmul(matrices.reshape(-1, 9), self._arranged, out=out.reshape(len(matrices), -1))
+    def directions(self, matrices: Array, out: Array, first: int = 0) -> None:
+        """Directions of frames (P, 3, 3) into ``out`` (P * N, 3), without the ``first`` of each.
 
-    def origins(self, origins: Array, out: Array) -> None:
-        """``origins`` (P, 3), each N times, into ``out`` (P * N, 3)."""
-        np.matmul(origins, self._repeat, out=out.reshape(len(origins), -1))
+        Products of one shape, so that a point's directions are the same bits in any company.
+        """
+        rows = matrices.reshape(-1, 9)
+        arranged = self._arranged[:, 3 * first :]
+        values = out.reshape(len(rows), arranged.shape[1])
+        whole = len(rows) // GROUP * GROUP
+        by_group = rows[:whole].reshape(-1, GROUP, 9)
+        np.matmul(by_group, arranged, out=values[:whole].reshape(-1, GROUP, arranged.shape[1]))
+        if whole < len(rows):
+            last = np.zeros((GROUP, 9), np.float32)
+            last[: len(rows) - whole] = rows[whole:]
+            values[whole:] = (last @ arranged)[: len(rows) - whole]
+
+    def origins(self, origins: Array, out: Array, first: int = 0) -> None:
+        """``origins`` (P, 3), each N times less ``first``, into ``out`` (P * N, 3)."""
+        repeat = self._repeat[:, 3 * first :]
+        np.matmul(origins, repeat, out=out.reshape(len(origins), repeat.shape[1]))
 
 
 class Turn:

@@ -6,24 +6,95 @@ radiance of a white surface, so 1/pi is inside and the surface's albedo is not.
 
 import os
 import threading
+from collections import Counter
 from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from .hemisphere import RaysInWorld, Turn, frames, hemisphere_set
+from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
+from .horizon import Horizon
 from .job import Settings
 from .points import Points
 from .rays import Occlusion
 
 Array = npt.NDArray[np.float32]
+Index = npt.NDArray[np.int64]
+Bits = npt.NDArray[np.uint8]
+Counts = Counter[str]
 
+COARSE = 4  # groups that are looked at together before each is
 BATCH_RAYS = 32768
-BATCHES_PER_PART = 16
+PART_RAYS = 1 << 19
+STEPS = 32  # of the rays that a horizon can save
 PILOT_POINTS = 1024
 ERROR_OF_DIFFERENCE = 0.325  # of |T(N) - T(N/4)|, pooled: within 10 % of the true error of T(N)
+
+CAST = "cast"
+NOTHING_ABOVE = "nothing stands above the horizon"
+SEES_NOTHING = "the first rays were all blocked"
+KNOWN = "known from another bake"
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Rays of P points, as a ``Gather`` reads them: the points' ``numbers`` (P,), ``origins`` and
+    ``normals`` (P, 3), the world ``directions`` (P, N, 3) of their rays, whose cosines to the
+    normal are the same for all, (N,), and which reach the sky, ``visible`` (P, N), 1 or 0.
+    Directions with a cosine above ``open_above`` reach the sky, traced or not."""
+
+    numbers: Index
+    origins: Array
+    normals: Array
+    directions: Array
+    cosines: Array
+    visible: Array
+    open_above: float
+
+
+class Gather(Protocol):
+    """Something else to be found out about every point, from its rays and from more of them."""
+
+    @property
+    def columns(self) -> int:
+        """How many numbers it finds."""
+        ...
+
+    def __call__(self, batch: Batch, occlusion: Occlusion) -> tuple[Array, Counts]:
+        """Its values (P, columns) and the rays that they took."""
+        ...
+
+
+@dataclass(frozen=True)
+class Shortcuts:
+    """What a trace need not find out with rays.
+
+    ``horizon`` knows directions that nothing can block.  Where ``pilot`` is 2 or more, every
+    ``pilot``-th ray of a point is traced first, and a point where all of them are blocked stops.
+    ``bits`` (P, N / 8) is the visibility of every ray: read where ``known``, else filled in.
+    """
+
+    horizon: Horizon | None = None
+    pilot: int = 0
+    bits: Bits | None = None
+    known: bool = False
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Some groups of points: ``rows`` of their part, of which the first ``count`` are points, with
+    ``numbers``, ``origins`` and the ``matrices`` of their frames; how many of their first
+    directions are open."""
+
+    rows: Index
+    count: int
+    numbers: Index
+    origins: Array
+    matrices: Array
+    skipped: int
 
 
 class Tracer:
@@ -33,76 +104,188 @@ class Tracer:
     one product sums the local coefficients; a part of many batches is turned to world axes at once.
     """
 
-    def __init__(self, points: Points, occlusion: Occlusion, settings: Settings) -> None:
-        self.points, self._occlusion, self.rays = points, occlusion, settings.rays
+    def __init__(
+        self,
+        points: Points,
+        occlusion: Occlusion,
+        settings: Settings,
+        shortcuts: Shortcuts,
+        gather: Gather | None,
+    ) -> None:
+        self.points, self.rays, self._occlusion = points, settings.rays, occlusion
         random = np.random.default_rng([settings.seed, settings.rays])
         self._azimuth = random.random(len(points.origins)) * (2 * np.pi)
-        directions = hemisphere_set(settings.rays, settings.order)
-        self._in_world = RaysInWorld(directions.directions)
-        self._clear_weights = -directions.weights  # the mask's -1 is clear
+        hemisphere = hemisphere_set(settings.rays, settings.order)
+        self._cosines = np.ascontiguousarray(hemisphere.directions[:, 2])
+        self._in_world = RaysInWorld(hemisphere.directions)
+        self._weights = hemisphere.weights
         self._turn = Turn(settings.order)
-        self._batch = max(1, BATCH_RAYS // settings.rays)
+        self._shortcuts, self._gather = shortcuts, gather
+        first = np.zeros(self.rays, bool)
+        first[:: max(1, shortcuts.pilot)] = True
+        self._first = first
+        self._first_in_world = RaysInWorld(hemisphere.directions[first])
+        self._others_in_world = RaysInWorld(hemisphere.directions[~first])
         self._buffers = threading.local()
 
-    def parts(self) -> list[slice]:
-        """Slices of the points, each of some batches."""
-        size = self._batch * BATCHES_PER_PART
-        return list(_slices(0, len(self.points.origins), size))
+    def parts(self) -> Iterator[slice]:
+        """Slices of the points, each of some groups."""
+        size = GROUP * max(COARSE, min(128, PART_RAYS // (GROUP * self.rays)))
+        count = len(self.points.origins)
+        return (slice(i, min(i + size, count)) for i in range(0, count, size))
 
-    def trace(self, part: slice, out: Array) -> None:
-        """Transfer of the points of ``part`` into ``out`` (P, n²)."""
+    def trace(self, part: slice, out: Array) -> Counts:
+        """Transfer, and what is gathered, of the points of ``part`` into ``out``; the rays."""
+        count = part.stop - part.start
         local = frames(self.points.normals[part], self._azimuth[part])
         matrices = local.matrices()
-        for batch in _slices(part.start, part.stop, self._batch):
-            inside = slice(batch.start - part.start, batch.stop - part.start)
-            out[batch] = self._trace_batch(self.points.origins[batch], matrices[inside])
-        out[part] = self._turn(local, out[part])
+        sums = np.empty((-(-count // GROUP) * GROUP, self._weights.shape[1]), np.float32)
+        counts: Counts = Counter()
+        for skipped, rows in self._batches(part):
+            numbers = part.start + rows[rows < count]
+            origins, frames_of = self.points.origins[numbers], matrices[numbers - part.start]
+            batch = _Rows(rows, len(numbers), numbers, origins, frames_of, skipped)
+            counts += self._trace_batch(batch, sums, out)
+        out[part, : sums.shape[1]] = self._turn(local, sums[:count])
+        return counts
 
-    def _trace_batch(self, starts: Array, matrices: Array) -> Array:
-        """Local coefficients (P, n²) of points at ``starts`` (P, 3) with frames (P, 3, 3)."""
-        origins, directions = self._buffer(len(starts))
-        self._in_world.origins(starts, origins)
-        self._in_world.directions(matrices, directions)
-        mask = self._occlusion.sky_mask(origins, directions).reshape(len(starts), self.rays)
-        return mask.astype(np.float32) @ self._clear_weights
+    def _batches(self, part: slice) -> Iterator[tuple[int, Index]]:
+        """Rows of the part, whole groups, whose first rays, as many as said, need no tracing."""
+        skips = self._open_rays(part)
+        for skipped in np.unique(skips):
+            groups = np.flatnonzero(skips == skipped)
+            size = max(1, BATCH_RAYS // (GROUP * max(1, self.rays - int(skipped))))
+            size = min(size, 16 * max(1, BATCH_RAYS // (GROUP * self.rays)))
+            for start in range(0, len(groups), size):
+                some = groups[start : start + size]
+                yield int(skipped), (some[:, None] * GROUP + np.arange(GROUP)).reshape(-1)
 
-    def _buffer(self, count: int) -> tuple[Array, Array]:
-        """Two (count * rays, 3) arrays of this thread."""
-        if not hasattr(self._buffers, "arrays"):
-            self._buffers.arrays = np.empty((2, self._batch * self.rays, 3), np.float32)
-        origins, directions = self._buffers.arrays[:, : count * self.rays]
-        return origins, directions
+    def _open_rays(self, part: slice) -> Index:
+        """How many of the first directions of each group reach the sky for certain."""
+        starts = np.arange(part.start, part.stop, GROUP)
+        horizon = self._shortcuts.horizon
+        if horizon is None:
+            return np.zeros(len(starts), np.int64)
+        share = np.repeat(self._share(horizon, starts[::COARSE], GROUP * COARSE), COARSE)
+        share = share[: len(starts)]
+        near = np.flatnonzero(share < 1 - 1 / STEPS)
+        share[near] = self._share(horizon, starts[near], GROUP)
+        steps = np.floor(np.minimum(share + 1e-9, 1) * STEPS).astype(np.int64)
+        return steps * self.rays // STEPS
 
+    def _share(self, horizon: Horizon, starts: Index, size: int) -> npt.NDArray[np.float64]:
+        """The open share of ``size`` points from each of ``starts``."""
+        if not len(starts):
+            return np.zeros(0)
+        rows = np.minimum(starts[:, None] + np.arange(size), len(self.points.origins) - 1)
+        return horizon.open_share(self.points.origins[rows], self.points.normals[rows])
 
-def _slices(start: int, stop: int, size: int) -> Iterator[slice]:
-    return (slice(i, min(i + size, stop)) for i in range(start, stop, size))
+    def _trace_batch(self, batch: _Rows, sums: Array, out: Array) -> Counts:
+        """Local coefficients of a batch into ``sums``, what is gathered into ``out``."""
+        visible = self._array("visible", (len(batch.rows), self.rays))
+        visible[batch.count :] = 0
+        counts = self._see(batch, visible[: batch.count])
+        products = visible.reshape(-1, GROUP, self.rays) @ self._weights
+        sums[batch.rows] = products.reshape(len(batch.rows), -1)
+        if self._gather is not None:
+            values, more = self._gather(self._seen(batch, visible), self._occlusion)
+            out[batch.numbers, sums.shape[1] :] = values
+            counts += more
+        return counts
+
+    def _seen(self, batch: _Rows, visible: Array) -> Batch:
+        """What a Gather is told."""
+        directions = self._array("gathered", (batch.count * self.rays, 3))
+        self._in_world.directions(batch.matrices, directions)
+        return Batch(
+            batch.numbers,
+            batch.origins,
+            self.points.normals[batch.numbers],
+            directions.reshape(-1, self.rays, 3),
+            self._cosines,
+            visible[: batch.count],
+            float(np.sqrt(1 - batch.skipped / self.rays)) if batch.skipped else 2.0,
+        )
+
+    def _see(self, batch: _Rows, visible: Array) -> Counts:
+        """Fill in which rays of the points reach the sky, 1 or 0; the rays cast and skipped."""
+        bits, count = self._shortcuts.bits, batch.count
+        if bits is not None and self._shortcuts.known:
+            visible[:] = np.unpackbits(bits[batch.numbers], axis=1, count=self.rays)
+            return Counter({KNOWN: count * self.rays})
+        if batch.skipped or self._shortcuts.pilot < 2:
+            visible[:, : batch.skipped] = 1
+            visible[:, batch.skipped :] = self._sky(
+                self._in_world, batch.origins, batch.matrices, batch.skipped
+            )
+            counts = Counter({CAST: count * (self.rays - batch.skipped)})
+            counts[NOTHING_ABOVE] = count * batch.skipped
+        else:
+            counts = self._see_first(batch, visible)
+        if bits is not None:
+            bits[batch.numbers] = np.packbits(visible != 0, axis=1)
+        return counts
+
+    def _see_first(self, batch: _Rows, visible: Array) -> Counts:
+        """The first rays, and the others of the points where one of them is clear."""
+        visible[:, ~self._first] = 0
+        clear = self._sky(self._first_in_world, batch.origins, batch.matrices)
+        visible[:, self._first] = clear
+        alive = np.flatnonzero(clear.any(axis=1))
+        others = self._sky(self._others_in_world, batch.origins[alive], batch.matrices[alive])
+        visible[np.ix_(alive, ~self._first)] = others
+        stopped = (batch.count - len(alive)) * int((~self._first).sum())
+        return Counter({CAST: clear.size + others.size, SEES_NOTHING: stopped})
+
+    def _sky(self, in_world: RaysInWorld, origins: Array, matrices: Array, first: int = 0) -> Array:
+        """1 where the rays (P, N) of P points, but the ``first`` ones, reach the sky, else 0."""
+        count = in_world.count - first
+        starts = self._array("origins", (len(origins) * count, 3))
+        directions = self._array("directions", (len(origins) * count, 3))
+        in_world.origins(origins, starts, first)
+        in_world.directions(matrices, directions, first)
+        mask = self._occlusion.sky_mask(starts, directions)
+        return -mask.reshape(len(origins), count).astype(np.float32)
+
+    def _array(self, name: str, shape: tuple[int, int]) -> Array:
+        """An array of this thread, its content whatever was in it."""
+        size = shape[0] * shape[1]
+        kept: Array | None = getattr(self._buffers, name, None)
+        if kept is None or kept.size < size:
+            kept = np.zeros(size, np.float32)
+            setattr(self._buffers, name, kept)
+        return kept[:size].reshape(shape)
 
 
 def trace_all(
-    points: Points, occlusion: Occlusion, settings: Settings, out: Array
-) -> Generator[int, None, None]:
-    """Fill ``out`` (P, n²) and yield the rays cast so far; ``close()`` stops it.
+    points: Points,
+    occlusion: Occlusion,
+    settings: Settings,
+    out: Array,
+    *,
+    shortcuts: Shortcuts = Shortcuts(),
+    gather: Gather | None = None,
+) -> Generator[int, None, Counts]:
+    """Fill ``out`` (P, n² + gathered columns) and yield the rays cast so far; ``close()`` stops it.
 
-    The same bits for any number of threads: batches don't depend on it.
+    The value is the rays cast and skipped, by reason.  The same bits for any number of threads and
+    any size of the batches.
     """
-    tracer = Tracer(points, occlusion, settings)
-    cast = 0
+    tracer = Tracer(points, occlusion, settings, shortcuts, gather)
+    counts: Counts = Counter()
     pool = ThreadPoolExecutor(settings.threads or available_cores())
     try:
-        pending: set[Future[int]] = {
-            pool.submit(_trace, tracer, part, out) for part in tracer.parts()
+        pending: set[Future[Counts]] = {
+            pool.submit(tracer.trace, part, out) for part in tracer.parts()
         }
         while pending:
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
-            cast += sum(future.result() for future in done)
-            yield cast
+            for future in done:
+                counts += future.result()
+            yield counts[CAST]
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _trace(tracer: Tracer, part: slice, out: Array) -> int:
-    tracer.trace(part, out)
-    return int(part.stop - part.start) * tracer.rays
+    return counts
 
 
 def available_cores() -> int:

@@ -1,0 +1,116 @@
+"""What is known without a ray is what rays would have found."""
+
+import numpy as np
+import pytest
+import shapes
+from prt_baker.addon.prt import horizon, points, rays, transfer
+from prt_baker.addon.prt.job import Settings
+
+
+def rotation(seed):
+    turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return turn * np.sign(np.linalg.det(turn))
+
+
+def open_field(turn=None):
+    """A ground of 100 m with four balls above it: its points, and everything's arrays."""
+    turn = np.eye(3) if turn is None else turn
+    ground = shapes.grid([-50, -50, 0], [100, 0, 0], [0, 100, 0], 100)
+    ball, faces, _ = shapes.sphere(16, 32)
+    balls = [
+        (ball + np.array([x, y, 1.2]), faces) for x, y in [(-20, 3), (10, 10), (5, -30), (25, -5)]
+    ]
+    vertices, triangles = shapes.join(ground, *balls)
+    normals = np.tile(turn[:, 2], (len(ground[0]), 1))
+    where = points.distinct_points(shapes.receiver(ground[0] @ turn.T, ground[1], normals))
+    return where, (vertices @ turn.T).astype(np.float32), triangles
+
+
+def traced(where, vertices, triangles, count=256, **shortcuts):
+    """Transfer and counts of rays."""
+    out = np.empty((len(where.origins), 9), np.float32)
+    sky = rays.occlusion(vertices, triangles)
+    steps = transfer.trace_all(
+        where, sky, Settings(rays=count), out, shortcuts=transfer.Shortcuts(**shortcuts)
+    )
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            return out, stop.value
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), rotation(1), rotation(2)])
+def test_an_open_field_traces_little_and_loses_nothing(turn):
+    where, vertices, triangles = open_field(turn)
+    found = horizon.horizon(vertices, triangles, where.origins, where.normals)
+    plain, all_rays = traced(where, vertices, triangles)
+    short, few = traced(where, vertices, triangles, horizon=found)
+    np.testing.assert_allclose(short, plain, atol=1e-6)
+    assert few[transfer.CAST] < 0.25 * all_rays[transfer.CAST]
+    assert few[transfer.CAST] + few[transfer.NOTHING_ABOVE] == all_rays[transfer.CAST]
+
+
+def test_no_open_direction_is_blocked_over_rough_ground():
+    """A folded sheet under a turned slab, flat enough for some of it to be open."""
+    ground = shapes.grid([-5, -5, 0], [10, 0, 0], [0, 10, 0], 60)
+    ground[0][:, 2] = 0.02 * np.sin(ground[0][:, 0]) * np.cos(ground[0][:, 1])
+    slab = shapes.grid([1, 1, 1], [2, 0, 0.5], [0, 2, 0.2], 3)
+    vertices, triangles = shapes.join(ground, slab)
+    slopes = 0.02 * np.stack([np.cos(ground[0][:, 0]) * np.cos(ground[0][:, 1]),
+                              -np.sin(ground[0][:, 0]) * np.sin(ground[0][:, 1])], 1)  # fmt: skip
+    normals = np.concatenate([-slopes, np.ones((len(slopes), 1))], 1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    where = points.distinct_points(shapes.receiver(ground[0], ground[1], normals))
+    found = horizon.Horizon(horizon.Clusters.of(vertices.astype(np.float32), triangles))
+    plain, _ = traced(where, vertices, triangles)
+    short, few = traced(where, vertices, triangles, horizon=found)
+    np.testing.assert_allclose(short, plain, atol=1e-6)
+    assert few[transfer.NOTHING_ABOVE] >= 0
+
+
+def test_a_horizon_that_would_save_nothing_is_left_out():
+    receiver, vertices, triangles = shapes.knot_scene(200, 16)
+    where = points.distinct_points(receiver)
+    assert horizon.horizon(vertices, triangles, where.origins, where.normals) is None
+
+
+def test_points_that_see_nothing_stop_early():
+    room, triangles = shapes.box(2.0, 8)
+    inside = points.distinct_points(shapes.receiver(room, triangles))
+    out, counts = traced(inside, room, triangles, pilot=4)
+    assert not out.any()
+    assert counts[transfer.CAST] == len(inside.origins) * 64
+    assert counts[transfer.SEES_NOTHING] == len(inside.origins) * 192
+
+
+def test_points_that_see_something_trace_everything():
+    receiver, vertices, triangles = shapes.knot_scene(100, 12)
+    where = points.distinct_points(receiver)
+    plain, _ = traced(where, vertices, triangles)
+    staged, _ = traced(where, vertices, triangles, pilot=4)
+    sees = staged.any(axis=1)
+    np.testing.assert_array_equal(staged[sees], plain[sees])
+    assert transfer.relative_rms(staged, plain) < 0.01
+
+
+def test_kept_visibility_needs_no_ray():
+    receiver, vertices, triangles = shapes.knot_scene(100, 12)
+    where = points.distinct_points(receiver)
+    bits = np.zeros((len(where.origins), 13), np.uint8)
+    first, _ = traced(where, vertices, triangles, count=100, bits=bits)
+    again, counts = traced(where, *shapes.box(), count=100, bits=bits, known=True)
+    np.testing.assert_array_equal(again, first)
+    assert counts[transfer.CAST] == 0
+
+
+@pytest.mark.parametrize("count", [100, 256])
+def test_same_bits_for_any_batch_size(monkeypatch, count):
+    where, vertices, triangles = open_field()
+    found = horizon.horizon(vertices, triangles, where.origins, where.normals)
+    results = []
+    for size in (1, 5000, 1 << 20):
+        monkeypatch.setattr(transfer, "BATCH_RAYS", size)
+        results.append(traced(where, vertices, triangles, count, horizon=found)[0])
+    np.testing.assert_array_equal(results[0], results[1])
+    np.testing.assert_array_equal(results[0], results[2])
