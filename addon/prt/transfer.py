@@ -215,9 +215,10 @@ class Tracer:
             return Counter({KNOWN: count * self.rays})
         if batch.skipped or self._shortcuts.pilot < 2:
             visible[:, : batch.skipped] = 1
-            visible[:, batch.skipped :] = self._sky(
-                self._in_world, batch.origins, batch.matrices, batch.skipped
-            )
+            if batch.skipped < self.rays:
+                visible[:, batch.skipped :] = self._sky(
+                    self._in_world, batch.origins, batch.matrices, batch.skipped
+                )
             counts = Counter({CAST: count * (self.rays - batch.skipped)})
             counts[NOTHING_ABOVE] = count * batch.skipped
         else:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import horizon, points, rays, transfer
+from prt_baker.addon.prt import horizon, points, rays, sh, transfer
 from prt_baker.addon.prt.job import Settings
 
 
@@ -22,8 +22,15 @@ def open_field(turn=None):
     ]
     vertices, triangles = shapes.join(ground, *balls)
     normals = np.tile(turn[:, 2], (len(ground[0]), 1))
-    where = points.distinct_points(shapes.receiver(ground[0] @ turn.T, ground[1], normals))
-    return where, (vertices @ turn.T).astype(np.float32), triangles
+    receiver = shapes.receiver(ground[0] @ turn.T, ground[1], normals)
+    return receiver, (vertices @ turn.T).astype(np.float32), triangles
+
+
+def horizon_of(receiver, vertices, triangles, starts=None):
+    """The points and what is known of their surroundings."""
+    where = points.distinct_points(receiver)
+    starts = [0, len(triangles)] if starts is None else starts
+    return where, horizon.Surroundings(vertices, triangles, starts).horizon(receiver, where)
 
 
 def traced(where, vertices, triangles, count=256, **shortcuts):
@@ -42,8 +49,8 @@ def traced(where, vertices, triangles, count=256, **shortcuts):
 
 @pytest.mark.parametrize("turn", [np.eye(3), rotation(1), rotation(2)])
 def test_an_open_field_traces_little_and_loses_nothing(turn):
-    where, vertices, triangles = open_field(turn)
-    found = horizon.horizon(vertices, triangles, where.origins, where.normals)
+    receiver, vertices, triangles = open_field(turn)
+    where, found = horizon_of(receiver, vertices, triangles)
     plain, all_rays = traced(where, vertices, triangles)
     short, few = traced(where, vertices, triangles, horizon=found)
     np.testing.assert_allclose(short, plain, atol=1e-6)
@@ -62,7 +69,7 @@ def test_no_open_direction_is_blocked_over_rough_ground():
     normals = np.concatenate([-slopes, np.ones((len(slopes), 1))], 1)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     where = points.distinct_points(shapes.receiver(ground[0], ground[1], normals))
-    found = horizon.Horizon(horizon.Clusters.of(vertices.astype(np.float32), triangles))
+    found = horizon.Horizon(horizon.Clusters.of(vertices.astype(np.float32), triangles, [0]))
     plain, _ = traced(where, vertices, triangles)
     short, few = traced(where, vertices, triangles, horizon=found)
     np.testing.assert_allclose(short, plain, atol=1e-6)
@@ -71,8 +78,30 @@ def test_no_open_direction_is_blocked_over_rough_ground():
 
 def test_a_horizon_that_would_save_nothing_is_left_out():
     receiver, vertices, triangles = shapes.knot_scene(200, 16)
-    where = points.distinct_points(receiver)
-    assert horizon.horizon(vertices, triangles, where.origins, where.normals) is None
+    assert horizon_of(receiver, vertices, triangles)[1] is None
+
+
+def test_a_convex_body_in_the_open_traces_no_ray():
+    vertices, triangles = shapes.box(2.0, 4, inward=False)
+    body = shapes.receiver(vertices + 3, triangles)
+    below = shapes.grid([-9, -9, -9], [1, 0, 0], [0, 1, 0], 1)  # seen by its underside alone
+    everything = shapes.join((body.vertices, triangles), below)
+    where, found = horizon_of(body, *everything, [0, len(triangles), len(triangles) + 2])
+    out, counts = traced(where, *everything, horizon=found)
+    plain, _ = traced(where, *everything)
+    np.testing.assert_allclose(out, plain, atol=1e-6)
+    on_top = where.normals[:, 2] > 0.9
+    np.testing.assert_allclose(out[on_top], sh.open_transfer(where.normals[on_top], 3), atol=1e-6)
+    assert counts[transfer.CAST] < 0.4 * len(where.origins) * 256
+
+
+def test_a_body_alone_is_a_closed_form():
+    vertices, triangles = shapes.box(2.0, 4, inward=False)
+    body = shapes.receiver(vertices, triangles)
+    where, found = horizon_of(body, body.vertices, triangles)
+    out, counts = traced(where, body.vertices, triangles, horizon=found)
+    np.testing.assert_allclose(out, sh.open_transfer(where.normals, 3), atol=1e-6)
+    assert counts[transfer.CAST] == 0
 
 
 def test_points_that_see_nothing_stop_early():
@@ -106,8 +135,8 @@ def test_kept_visibility_needs_no_ray():
 
 @pytest.mark.parametrize("count", [100, 256])
 def test_same_bits_for_any_batch_size(monkeypatch, count):
-    where, vertices, triangles = open_field()
-    found = horizon.horizon(vertices, triangles, where.origins, where.normals)
+    receiver, vertices, triangles = open_field()
+    where, found = horizon_of(receiver, vertices, triangles)
     results = []
     for size in (1, 5000, 1 << 20):
         monkeypatch.setattr(transfer, "BATCH_RAYS", size)

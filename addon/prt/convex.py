@@ -1,0 +1,94 @@
+"""Whether a receiver is a convex body, which cannot shadow itself."""
+
+import numpy as np
+import numpy.typing as npt
+
+from .job import Receiver
+from .points import element_triangles
+
+Float = npt.NDArray[np.float64]
+
+SLACK = 1e-6  # of the size: what float32 leaves of a flat side
+PLANES = 32  # tangent planes that are tried before the edges are looked at
+
+
+def is_convex(receiver: Receiver) -> bool:
+    """Whether the surface is closed and convex and its shading normals keep to it: then nothing of
+    it rises above any of its tangent planes.
+
+    A closed surface of one piece without holes is convex where all its edges are and no vertex has
+    angles of more than a full turn (Tietze and Nakajima's theorem).
+    """
+    if len(receiver.triangles) < 4:
+        return False
+    positions = np.asarray(receiver.vertices, np.float64)
+    size = float(np.ptp(positions, axis=0).max())
+    if not _holds_below(positions, receiver, size * SLACK):
+        return False
+    places, vertex = np.unique(receiver.vertices, axis=0, return_inverse=True)
+    triangles = vertex.reshape(-1)[receiver.triangles]
+    corners = places.astype(np.float64)[triangles]
+    pairs = _edges(triangles)
+    if pairs is None or len(np.unique(triangles)) - len(pairs) + len(triangles) != 2:
+        return False
+    return _bends_outward(corners, pairs, size * SLACK) and _turns_at_most_once(
+        triangles, corners, len(places)
+    )
+
+
+def _holds_below(positions: Float, receiver: Receiver, slack: float) -> bool:
+    """Whether all lies below the tangent planes at some of the elements, and what shares a
+    triangle with an element below its own."""
+    elements = element_triangles(receiver)
+    normals = np.asarray(receiver.normals, np.float64)
+    chosen = np.linspace(0, elements.size - 1, PLANES).astype(np.int64)
+    some = normals[elements.reshape(-1)[chosen]]
+    heights = np.einsum("ec,ec->e", some, positions[receiver.triangles.reshape(-1)[chosen]])
+    if ((some @ positions.T).max(axis=1) > heights + slack).any():
+        return False
+    corners = positions[receiver.triangles]
+    for k in range(3):
+        sides = corners[:, [(k + 1) % 3, (k + 2) % 3]] - corners[:, k, None]
+        if (np.einsum("fsc,fc->fs", sides, normals[elements[:, k]]) > slack).any():
+            return False
+    return True
+
+
+def _edges(triangles: npt.NDArray[np.int64]) -> npt.NDArray[np.int64] | None:
+    """Rows (E, 4): two triangles that share an edge, and in each the corner opposite to it; None
+    where some edge has not exactly two triangles, one in each direction."""
+    ends = np.concatenate([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]])
+    forward = ends[:, 0] < ends[:, 1]
+    if ends.size == 0 or 2 * int(forward.sum()) != len(ends):
+        return None
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    order = np.lexsort((~forward, high, low))
+    first, second = order[0::2], order[1::2]
+    paired = (low[first] == low[second]) & (high[first] == high[second])
+    if not (paired & forward[first] & ~forward[second]).all():
+        return None
+    if ((np.diff(low[first]) == 0) & (np.diff(high[first]) == 0)).any():
+        return None
+    count = len(triangles)
+    return np.stack([first % count, first // count, second % count, second // count], axis=1)
+
+
+def _bends_outward(corners: Float, pairs: npt.NDArray[np.int64], slack: float) -> bool:
+    """Whether each triangle's opposite corner lies below the plane of its neighbour."""
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    normals = cross / np.where(length > 0, length, 1)
+    here, there, corner = pairs[:, 0], pairs[:, 2], pairs[:, 3]
+    rise = np.einsum("ec,ec->e", corners[there, corner] - corners[here, 0], normals[here])
+    return bool((rise <= slack).all())
+
+
+def _turns_at_most_once(triangles: npt.NDArray[np.int64], corners: Float, vertices: int) -> bool:
+    """Whether the angles about every vertex add up to a full turn at most."""
+    sides = corners[:, [1, 2, 0]] - corners
+    back = -sides[:, [2, 0, 1]]
+    cosine = np.einsum("fkc,fkc->fk", sides, back)
+    cosine /= np.maximum(np.linalg.norm(sides, axis=2) * np.linalg.norm(back, axis=2), 1e-300)
+    angles = np.arccos(np.clip(cosine, -1, 1))
+    sums = np.bincount(triangles.reshape(-1), angles.reshape(-1), vertices)
+    return bool((sums <= 2 * np.pi + 1e-4).all())
