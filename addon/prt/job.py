@@ -26,6 +26,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from .digests import add_array, add_files
+
 VERSION = 1
 
 Array = npt.NDArray[Any]
@@ -217,25 +219,23 @@ def content_hash(job: Job) -> str:
     without = ("threads", "cache")
     settings = {k: v for k, v in asdict(job.settings).items() if k not in without}
     receivers = [(r.name, r.domain) for r in job.receivers]
-    light = _light_header(job.light) or {}
-    image, _ = light.pop("image", None), light.pop("title", None)
-    header = (VERSION, job.kind, settings, light, receivers)
-    digest.update(json.dumps(header, sort_keys=True).encode())
-    for file in _files(image):
-        with file.open("rb") as content:
-            digest.update(hashlib.file_digest(content, "blake2b").digest())
+    digest.update(json.dumps((VERSION, job.kind, settings, receivers), sort_keys=True).encode())
+    digest.update(light_digest(job.light))
     for name, array in _arrays(job, None):
-        digest.update(f"{name} {array.shape} {array.dtype}".encode())
-        digest.update(np.ascontiguousarray(array))
+        add_array(digest, name, array)
     return digest.hexdigest()
 
 
-def _files(image: str | None) -> list[Path]:
-    """The files at ``image``, which may be missing, or a folder of faces."""
-    path = Path(image) if image else None
-    if path is None or not path.exists():
-        return []
-    return sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
+def light_digest(light: LightSource | None) -> bytes:
+    """Names what ``light`` shows, wherever its picture lies and whatever it is called."""
+    digest = hashlib.blake2b(digest_size=32)
+    header = _light_header(light) or {}
+    image, _ = header.pop("image", None), header.pop("title", None)
+    digest.update(json.dumps(header, sort_keys=True).encode())
+    add_files(digest, image)
+    if light is not None and light.pixels is not None:
+        add_array(digest, "image", light.pixels)
+    return digest.digest()
 
 
 def write(job: Job, folder: Path) -> None:
@@ -243,6 +243,8 @@ def write(job: Job, folder: Path) -> None:
     centre = _centre(job)
     for name, array in _arrays(job, centre):
         np.save(folder / f"{name}.npy", array)
+    if job.light is not None and job.light.pixels is not None:
+        np.save(folder / "image.npy", job.light.pixels)
     receivers = [
         {"name": r.name, "domain": r.domain, "shown": [n for n in SHOWN if _has(r, n)]}
         for r in job.receivers
@@ -337,8 +339,6 @@ def _arrays(job: Job, centre: Array | None) -> Iterator[tuple[str, Array]]:
         for name in SHOWN:
             if _has(receiver, name):
                 yield f"{i}_{name}", getattr(receiver, name)
-    if job.light is not None and job.light.pixels is not None:
-        yield "image", job.light.pixels
 
 
 def _centred(vertices: Array, centre: Array | None) -> Array:

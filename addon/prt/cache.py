@@ -1,0 +1,198 @@
+"""What was traced, kept on disk: an object that nothing has changed for is not traced again.
+
+An entry is one file, named by the hash of all that decides it: a line, the arrays' names, types and
+shapes as JSON, the arrays, and a checksum.  Entries are written under another name and renamed, and
+never changed, so that several processes can share a folder.  Whatever goes wrong with it, a full
+disk or a damaged file, costs time and no bake.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import tempfile
+import time
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from . import VERSION
+from .digests import add_array
+from .job import RECEIVER_ARRAYS, Array, Job, light_digest
+
+What = Literal["result", "visibility"]
+
+LIMIT_BYTES = 2 << 30
+MAGIC = b"PRT Baker's cache, entry of version 1\n"
+SUFFIX, UNFINISHED = ".prt", ".tmp"
+ABANDONED_SECONDS = 3600.0  # an unfinished file this old is left from a process that was killed
+ALIGNMENT = 64
+LENGTH_BYTES, CHECKSUM_BYTES = 8, 4
+LEAST_BYTES = len(MAGIC) + LENGTH_BYTES + CHECKSUM_BYTES
+# what changes no result, and what changes none as long as no light is looked at
+NEVER = ("threads", "cache", "verify_points", "verify_rays")
+BY_LIGHT = ("residual", "map_rays", "turns", "peaks", "final_light")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What was put: read-only ``arrays`` by name, and ``report``, plain JSON."""
+
+    arrays: dict[str, Array]
+    report: dict[str, Any]
+
+
+class Cache:
+    """Entries in ``folder``, at most ``limit_bytes`` of them: those not used for the longest time
+    are deleted first.  "" is no folder: nothing is kept."""
+
+    def __init__(self, folder: str | Path, limit_bytes: int = LIMIT_BYTES) -> None:
+        self._folder = Path(folder) if folder else None
+        self._limit = limit_bytes
+
+    def get(self, key: str) -> Entry | None:
+        """The entry of ``key``, memory-mapped; None where there is none that is whole."""
+        if self._folder is None:
+            return None
+        path = self._folder / (key + SUFFIX)
+        try:
+            data: Array = np.memmap(path, np.uint8, "r")
+        except (OSError, ValueError):  # missing, or empty
+            return None
+        if not _is_whole(data):
+            _delete(path)
+            return None
+        with contextlib.suppress(OSError):  # a folder that may only be read keeps no order
+            os.utime(path)
+        return _entry(data)
+
+    def put(self, key: str, arrays: Mapping[str, Array], report: Mapping[str, Any]) -> bool:
+        """Keep ``arrays`` and ``report`` under ``key``; whether that was possible."""
+        size = sum(array.nbytes for array in arrays.values())
+        if self._folder is None or size > self._limit:
+            return False
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            self._trim(self._limit - size)
+            _write(self._folder, key, arrays, report)
+        except OSError:
+            return False
+        return True
+
+    def _trim(self, limit: int) -> None:
+        """Delete what was used longest ago, until no more than ``limit`` bytes are left."""
+        files = sorted(_files(self._folder or Path()), reverse=True)
+        total = 0
+        for used, size, path in files:
+            if path.suffix == UNFINISHED and used > time.time() - ABANDONED_SECONDS:
+                continue
+            total += size
+            if total > limit or path.suffix == UNFINISHED:
+                _delete(path)
+
+
+class Keys:
+    """Names for what can be kept of ``job``.  Each part of it is hashed once, when it is needed."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._parts: dict[int, bytes] = {}
+        self._light: bytes | None = None
+
+    def receiver(self, what: What, index: int, parts: Iterable[int], with_light: bool) -> str:
+        """Names ``what`` of receiver ``index``: it depends on its arrays, on the occluders
+        ``parts``, whatever their order and their names, on the settings that decide it and on this
+        program's version; on the light and its settings only where ``with_light``."""
+        job = self._job
+        receiver = job.receivers[index]
+        without = NEVER if with_light else NEVER + BY_LIGHT
+        settings = {k: v for k, v in asdict(job.settings).items() if k not in without}
+        header = (VERSION, what, receiver.domain, settings, with_light)
+        digest = hashlib.blake2b(digest_size=20)
+        digest.update(json.dumps(header, sort_keys=True).encode())
+        for name in RECEIVER_ARRAYS:
+            add_array(digest, name, getattr(receiver, name))
+        for part in sorted(self._part(int(k)) for k in parts):
+            digest.update(part)
+        if with_light:
+            self._light = self._light or light_digest(job.light)
+            digest.update(self._light)
+        return digest.hexdigest()
+
+    def _part(self, k: int) -> bytes:
+        """Names the triangles of occluder ``k`` and where they are."""
+        if k not in self._parts:
+            job, digest = self._job, hashlib.blake2b(digest_size=32)
+            triangles = job.occluder_triangles[job.occluder_starts[k] : job.occluder_starts[k + 1]]
+            low = int(triangles.min(initial=len(job.occluder_vertices)))
+            high = int(triangles.max(initial=-1)) + 1
+            add_array(digest, "vertices", job.occluder_vertices[low:high])
+            add_array(digest, "triangles", triangles - low)
+            self._parts[k] = digest.digest()
+        return self._parts[k]
+
+
+def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
+    """When each file of the cache was last used, its bytes, and its path."""
+    for path in folder.iterdir():
+        if path.suffix in {SUFFIX, UNFINISHED}:
+            with contextlib.suppress(OSError):  # another process was faster
+                status = path.stat()
+                yield status.st_mtime, status.st_size, path
+
+
+def _delete(path: Path) -> None:
+    with contextlib.suppress(OSError):  # gone, or mapped by another process on Windows
+        path.unlink()
+
+
+def _write(folder: Path, key: str, arrays: Mapping[str, Array], report: Mapping[str, Any]) -> None:
+    """OSError where there is no room; then nothing is left of it."""
+    descriptor, name = tempfile.mkstemp(suffix=UNFINISHED, prefix=key, dir=folder)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            _write_entry(file, arrays, report)
+        Path(name).replace(folder / (key + SUFFIX))
+    except BaseException:
+        _delete(Path(name))
+        raise
+
+
+def _write_entry(file: BinaryIO, arrays: Mapping[str, Array], report: Mapping[str, Any]) -> None:
+    plain = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    shapes = [(name, array.dtype.str, array.shape) for name, array in plain.items()]
+    header = json.dumps({"arrays": shapes, "report": dict(report)}).encode()
+    head = MAGIC + len(header).to_bytes(LENGTH_BYTES, "little") + header
+    pieces: list[Any] = [head, b"\0" * (-len(head) % ALIGNMENT)]
+    for array in plain.values():
+        pieces += [array.reshape(-1).view(np.uint8), b"\0" * (-array.nbytes % ALIGNMENT)]
+    checksum = 0
+    for piece in pieces:
+        file.write(piece)
+        checksum = zlib.crc32(piece, checksum)
+    file.write(checksum.to_bytes(CHECKSUM_BYTES, "little"))
+
+
+def _is_whole(data: npt.NDArray[np.uint8]) -> bool:
+    if len(data) < LEAST_BYTES or data[: len(MAGIC)].tobytes() != MAGIC:
+        return False
+    checksum = int.from_bytes(data[-CHECKSUM_BYTES:].tobytes(), "little")
+    return zlib.crc32(data[:-CHECKSUM_BYTES]) == checksum
+
+
+def _entry(data: npt.NDArray[np.uint8]) -> Entry:
+    """The views of a whole entry."""
+    start = len(MAGIC) + LENGTH_BYTES
+    end = start + int.from_bytes(data[len(MAGIC) : start].tobytes(), "little")
+    header = json.loads(data[start:end].tobytes())
+    arrays = {}
+    for name, dtype, shape in header["arrays"]:
+        first = end + -end % ALIGNMENT
+        end = first + int(np.prod(shape)) * np.dtype(dtype).itemsize
+        arrays[name] = np.asarray(data[first:end]).view(dtype).reshape(shape)
+    return Entry(arrays, header["report"])
