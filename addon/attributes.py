@@ -59,8 +59,8 @@ def remove(mesh: bpy.types.Mesh) -> None:
         put(mesh, {})
 
 
-def read(obj: bpy.types.Object, stamp: Stamp) -> Values:
-    """Baked transfer (E, channels, n²) of every vertex or corner that was baked."""
+def read(obj: bpy.types.Object, stamp: Stamp) -> layouts.Values:
+    """What every vertex or corner that was baked holds."""
     holder = carrier_nodes.carrier_of(obj) if stamp.by_modifier else obj
     layout = stamp.packing
     if holder is None or not set(layout.attributes) <= set(names(holder.data)):

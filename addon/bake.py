@@ -6,10 +6,12 @@ scene as it was.  Between two steps only names are kept: an undo kills pointers.
 
 from collections.abc import Generator, Sequence
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
 
 from . import (
     attributes,
@@ -18,12 +20,15 @@ from . import (
     light_state,
     live_light,
     scene,
+    scene_occluders,
     stamp,
     world,
     world_file,
     writeback,
 )
 from .prt import job as jobs
+from .prt import layout as layouts
+from .prt import residual
 from .prt.errors import BakeError
 from .prt.layout import Layout
 from .prt.light import world_sh
@@ -46,45 +51,50 @@ def bake(
     world can show, only lights the bake.
     """
     with engine.job_folder() as folder:
-        layout = Layout(settings.order)
         objects = _objects(object_names)
-        scene.check_objects(objects)
-        writeback.check(bpy.data.scenes[scene_name], objects, layout)
+        receivers = scene.check_objects(objects)
+        least, most = _possible(bpy.data.scenes[scene_name], settings, hdri)
+        writeback.check(bpy.data.scenes[scene_name], objects, most, least)
         notes = writeback.notes(bpy.data.scenes[scene_name], objects)
-        yield jobs.Progress("scene", 0.0)
-        job, light = _read(scene_name, object_names, settings, hdri, folder)
         stamps = [
-            _stamp(obj, layout, receiver.domain)
-            for obj, receiver in zip(_objects(object_names), job.receivers, strict=True)
+            _stamp(obj, most, receiver.domain)
+            for obj, receiver in zip(objects, receivers, strict=True)
         ]
+        yield jobs.Progress("scene", 0.0)
+        settings = replace(settings, residual=most.turns > 0, peaks=most.lights)
+        job, light = _read(scene_name, receivers, settings, hdri, folder)
         results = yield from engine.run(job, folder)
     is_cubemap = results.report["light"]["projection"] == "cubemap"
+    state = _light_state(light, results, follows=light.follows and not is_cubemap)
     if hdri is None or is_cubemap:
-        light = replace(light, follows=light.follows and not is_cubemap)
-        _write(scene_name, results, stamps, layout)
+        _write(scene_name, results, stamps, state)
     else:
         with world_file.made(hdri) as its_world:
-            _write(scene_name, results, stamps, layout)
+            _write(scene_name, results, stamps, state)
         bpy.data.scenes[scene_name].world = its_world
-    _set_light(scene_name, light, results.image_sh, baked=True)
+    _take_as_baked(scene_name, state, object_names)
     return {**results.report, "notes": notes}
 
 
-def verify(object_names: Sequence[str], settings: jobs.Settings) -> Steps:
-    """Trace points of baked objects again and stamp the measured errors."""
+def verify(scene_name: str, object_names: Sequence[str], settings: jobs.Settings) -> Steps:
+    """Trace points of baked objects again, under the world as it is, and stamp the measured
+    errors."""
     objects = _objects(object_names)
-    scene.check_objects(objects)
+    receivers = scene.check_objects(objects)
     marks = [_stamp_of(obj) for obj in objects]
     order = marks[0].order
     if any(mark.order != order for mark in marks):
         raise BakeError("The objects were baked with different orders: verify one order at a time")
+    state = light_state.read(bpy.data.scenes[scene_name])
+    receivers = tuple(map(_with_what_is_shown, receivers, objects, marks, repeat(state)))
     with engine.job_folder() as folder:
         yield jobs.Progress("scene", 0.0)
-        job = _verify_job(object_names, replace(settings, order=order))
+        job = _verify_job(scene_name, receivers, replace(settings, order=order), folder)
         results = yield from engine.run(job, folder)
     for obj, entry in zip(_objects(object_names), results.report["objects"], strict=True):
-        error = entry["measured_error"]["on_surface"]
-        stamp.write(obj, replace(_stamp_of(obj), measured_error=error))
+        at_bake = state is not None and light_state.is_baked(state) and stamp.share(obj) == 1.0
+        found = _measured(entry["measured_error"])
+        stamp.write(obj, replace(_stamp_of(obj), **found, light_at_bake=at_bake))
     return results.report
 
 
@@ -95,7 +105,12 @@ def update_light(scene_name: str) -> Steps:
         depsgraph = bpy.context.evaluated_depsgraph_get()
         light = world.read(bpy.data.scenes[scene_name], depsgraph, folder)
         results = yield from engine.run(jobs.Job("light", light=light.source), folder)
-    _set_light(scene_name, light, results.image_sh, baked=False)
+    state = _light_state(light, results, light.follows)
+    before = light_state.read(bpy.data.scenes[scene_name])
+    if before is not None:
+        baked = before.baked_radiance_sh
+        state = replace(state, baked_radiance_sh=baked, peaks=before.peaks)
+    _set_light(scene_name, state)
     return results.report
 
 
@@ -114,9 +129,21 @@ def _stamp_of(obj: bpy.types.Object) -> stamp.Stamp:
     return found
 
 
+def _possible(
+    owner: bpy.types.Scene, settings: jobs.Settings, hdri: str | None
+) -> tuple[Layout, Layout]:
+    """The least and the most that a bake may store: a colour has nothing that an order leaves out,
+    and what is worth its float is only known in the end."""
+    simple = world.read_nodes(owner, bpy.context.evaluated_depsgraph_get()) if not hdri else None
+    is_colour = simple is not None and simple.image is None
+    turns = 0 if is_colour or not settings.residual else settings.turns
+    most = Layout(settings.order, 1, turns, 0 if is_colour else settings.peaks)
+    return Layout(1 if settings.final_light else settings.order, 1, turns), most
+
+
 def _read(
     scene_name: str,
-    object_names: Sequence[str],
+    receivers: tuple[jobs.Receiver, ...],
     settings: jobs.Settings,
     hdri: str | None,
     folder: Path,
@@ -127,31 +154,55 @@ def _read(
         light = world.read(bpy.data.scenes[scene_name], depsgraph, folder)
     else:
         light = world.from_file(hdri)
-    vertices, triangles, repairs = scene.read_occluders(depsgraph)
-    job = jobs.Job(
-        settings=settings,
-        light=light.source,
-        receivers=scene.read_receivers(depsgraph, _objects(object_names)),
-        occluder_vertices=vertices,
-        occluder_triangles=triangles,
-        repairs=repairs,
-    )
-    return job, light
+    job = jobs.Job(settings=settings, light=light.source, receivers=receivers)
+    return _with_occluders(job, depsgraph), light
 
 
-def _verify_job(object_names: Sequence[str], settings: jobs.Settings) -> jobs.Job:
+def _verify_job(
+    scene_name: str,
+    receivers: tuple[jobs.Receiver, ...],
+    settings: jobs.Settings,
+    folder: Path,
+) -> jobs.Job:
+    """Without a light where the world has none: the transfer can still be verified."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    vertices, triangles, repairs = scene.read_occluders(depsgraph)
-    objects = _objects(object_names)
-    receivers = tuple(
-        replace(receiver, transfer=attributes.read(obj, _stamp_of(obj)))
-        for obj, receiver in zip(objects, scene.read_receivers(depsgraph, objects), strict=True)
+    try:
+        light = world.read(bpy.data.scenes[scene_name], depsgraph, folder).source
+    except BakeError:
+        light = None
+    return _with_occluders(jobs.Job("verify", settings, light, receivers), depsgraph)
+
+
+def _with_occluders(job: jobs.Job, depsgraph: bpy.types.Depsgraph) -> jobs.Job:
+    """``job`` with all that stops light."""
+    found = scene_occluders.read(depsgraph)
+    return replace(
+        job,
+        occluder_vertices=found.vertices,
+        occluder_triangles=found.triangles,
+        occluder_starts=found.starts,
+        repairs=found.repairs,
     )
-    return jobs.Job("verify", settings, None, receivers, vertices, triangles, repairs)
+
+
+def _with_what_is_shown(
+    receiver: jobs.Receiver,
+    obj: bpy.types.Object,
+    mark: stamp.Stamp,
+    state: light_state.LightState | None,
+) -> jobs.Receiver:
+    """``receiver`` with the transfer that it shows, and one residual: all that it shows besides,
+    under the light of ``state``."""
+    values = attributes.read(obj, mark)
+    if state is None or not (mark.packing.turns or mark.packing.lights):
+        return replace(receiver, transfer=values.transfer)
+    terms = light_state.terms(state, mark.packing)
+    beyond = residual.beyond(values, terms, stamp.share(obj)).astype(np.float32)
+    return replace(receiver, transfer=values.transfer, residual=beyond[:, None])
 
 
 def _stamp(obj: bpy.types.Object, layout: Layout, domain: str) -> stamp.Stamp:
-    """The stamp of ``obj`` as it is now, its figures still empty."""
+    """The stamp of ``obj`` as it is now, its figures still empty; ``layout`` may become less."""
     matrix = obj.matrix_world
     return stamp.Stamp(
         order=layout.order,
@@ -171,34 +222,100 @@ def _stamp(obj: bpy.types.Object, layout: Layout, domain: str) -> stamp.Stamp:
 
 
 def _write(
-    scene_name: str, results: jobs.Results, stamps: list[stamp.Stamp], layout: Layout
+    scene_name: str,
+    results: jobs.Results,
+    stamps: list[stamp.Stamp],
+    state: light_state.LightState,
 ) -> None:
     """Put every result on its object, all or none."""
     objects = _objects([result.name for result in results.receivers])
-    entries = results.report["objects"]
-    figures = [
-        replace(
-            mark,
-            job_hash=results.report["job_hash"],
-            points=entry["points"],
-            rays=results.report["settings"]["rays"],
-            mrays_per_second=entry["mrays_per_second"],
-            estimated_error=entry["estimated_error"],
-            measured_error=(entry["measured_error"] or {}).get("on_surface"),
+    layout = layouts.covering(results.receivers)
+    marks = [
+        replace(mark, **_figures(layout, result, entry, results.report, state))
+        for mark, result, entry in zip(
+            stamps, results.receivers, results.report["objects"], strict=True
         )
-        for mark, entry in zip(stamps, entries, strict=True)
     ]
-    baked = list(zip(objects, results.receivers, figures, strict=True))
+    baked = list(zip(objects, results.receivers, marks, strict=True))
     writeback.write(bpy.data.scenes[scene_name], baked, layout)
 
 
-def _set_light(scene_name: str, light: WorldLight, image_sh: Any, baked: bool) -> None:
+def _figures(
+    layout: Layout,
+    result: jobs.ReceiverResult,
+    entry: Report,
+    report: Report,
+    state: light_state.LightState,
+) -> dict[str, Any]:
+    """What a stamp says of a bake that is done."""
+    return {
+        "order": layout.order,
+        "channels": layout.channels,
+        "layout": layout.slots,
+        "job_hash": report["job_hash"],
+        "points": entry["points"],
+        "rays": entry.get("rays_per_point", report["settings"]["rays"]),
+        "mrays_per_second": entry["mrays_per_second"],
+        "estimated_error": entry["estimated_error"],
+        "interpolation_error": entry.get("interpolation_error"),
+        "plain_error": _plain_error(layout, result, state),
+        **_measured(entry["measured_error"]),
+    }
+
+
+def _measured(error: Report | None) -> dict[str, float | None]:
+    """What a stamp says of the measured errors in a report."""
+    found = error or {}
+    return {
+        "measured_error": found.get("on_surface"),
+        "measured_at_points": found.get("at_points"),
+        "light_error": found.get("light_on_surface"),
+    }
+
+
+def _plain_error(
+    layout: Layout, result: jobs.ReceiverResult, state: light_state.LightState
+) -> float | None:
+    """Relative RMS of what the transfer alone leaves out of the baked light; None where nothing
+    mends it."""
+    if not (layout.turns or layout.lights):
+        return None
+    values = layouts.Values(result.transfer, result.residual, result.visibility)
+    stored = Layout(layout.order, layout.channels, values.residual.shape[1], layout.lights)
+    beyond = residual.beyond(values, light_state.terms(state, stored))
+    whole = beyond + residual.shaded(result.transfer, state.radiance_sh)
+    size = float(np.square(whole).sum())
+    return float(np.sqrt(np.square(beyond).sum() / size)) if size else None
+
+
+def _light_state(light: WorldLight, results: jobs.Results, follows: bool) -> light_state.LightState:
+    """The light of ``results``, as if everything were baked under it."""
+    image_sh = results.image_sh
+    radiance = world_sh(image_sh, light.source.strength, light.source.rotation)
+    return light_state.LightState(
+        light.image_key, image_sh, radiance, radiance, follows, results.peaks
+    )
+
+
+def _take_as_baked(
+    scene_name: str, state: light_state.LightState, object_names: Sequence[str]
+) -> None:
+    """Make ``state`` the light that residuals are weighed against, and show it.  Of what was baked
+    under another light only the transfer is shown, unless that one was only stronger or weaker."""
+    owner = bpy.data.scenes[scene_name]
+    before = light_state.read(owner)
+    if before is not None:
+        for obj in stamp.baked_objects(owner):
+            mark = stamp.read(obj)
+            if obj.name not in object_names and mark is not None:
+                kept = light_state.share(before, state, with_peaks=mark.packing.lights > 0)
+                stamp.set_share(obj, kept * stamp.share(obj))
+    _set_light(scene_name, state)
+
+
+def _set_light(scene_name: str, state: light_state.LightState) -> None:
     """Keep the light in the .blend and show it."""
     owner = bpy.data.scenes[scene_name]
-    radiance = world_sh(image_sh, light.source.strength, light.source.rotation)
-    before = light_state.read(owner)
-    at_bake = radiance if baked or before is None else before.baked_radiance_sh
-    state = light_state.LightState(light.image_key, image_sh, radiance, at_bake, light.follows)
     light_state.write(owner, state)
-    writeback.set_light(radiance)
+    writeback.set_light(state)
     live_light.refresh(owner, bpy.context.evaluated_depsgraph_get())

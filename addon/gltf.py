@@ -15,6 +15,7 @@ import numpy as np
 
 from . import default_surface, gltf_attributes, gltf_colors, gltf_frame, light_state, stamp
 from .prt import sh
+from .prt.job import Peak
 from .prt.layout import Layout
 
 VERSION = 1
@@ -40,6 +41,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
     def __init__(self) -> None:
         # Now, because the exporter may go to another frame
         self._bakes = shown_bakes()
+        self._shares = {obj: stamp.share(obj) for obj in self._bakes}
         self._lights = {scene.name: light_state.read(scene) for scene in bpy.data.scenes}
         self._stamped = any(stamp.KEY in obj for obj in bpy.data.objects)
         self._artist: Settings = {}
@@ -145,37 +147,44 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         key = (id(mesh), obj.name_full if obj in matrices else "")
         if key not in self._meshes:
             self._originals.append(mesh)  # so that its id stays its own
-            dressed = _baked(mesh, self._bakes[obj], matrices[obj], frame) if key[1] else None
+            dressed = self._baked(mesh, obj, matrices[obj], frame) if key[1] else None
             self._meshes[key] = dressed or _bare(mesh)
         node.node.mesh = self._meshes[key]
         return obj is None or stamp.KEY not in obj or _is_baked(node.node.mesh)
 
-
-def _baked(mesh: Any, found: stamp.Stamp, matrix: Any, frame: Any) -> Any | None:
-    """``mesh`` with the transfer in glTF's frame; None where its attributes are not there."""
-    twin = _twin(mesh)
-    turned: dict[int, gltf_attributes.Accessors | None] = {}  # primitives may share attributes
-    for primitive in twin.primitives:
-        key = id(primitive.attributes)
-        if key not in turned:
-            turned[key] = _turned(primitive.attributes, found.packing, frame)
-        attributes = turned[key]
-        if attributes is None and primitive.mode in TRIANGLES:
-            return None
-        primitive.attributes = attributes or gltf_attributes.bare(primitive.attributes)
-    twin.extras = {**(mesh.extras or {}), "prt": _description(found, matrix)}
-    return twin
+    def _baked(self, mesh: Any, obj: bpy.types.Object, matrix: Any, frame: Any) -> Any | None:
+        """``mesh`` with the bake of ``obj`` in glTF's frame; None where its attributes are gone."""
+        packing, share = self._bakes[obj].packing, self._shares[obj]
+        twin = _twin(mesh)
+        turned: dict[int, gltf_attributes.Accessors | None] = {}  # primitives may share attributes
+        for primitive in twin.primitives:
+            key = id(primitive.attributes)
+            if key not in turned:
+                turned[key] = _turned(primitive.attributes, packing, share, frame)
+            attributes = turned[key]
+            if attributes is None and primitive.mode in TRIANGLES:
+                return None
+            primitive.attributes = attributes or gltf_attributes.bare(primitive.attributes)
+        description = _description(_shown(packing, share), matrix)
+        twin.extras = {**(mesh.extras or {}), "prt": description}
+        return twin
 
 
 def _turned(
-    attributes: gltf_attributes.Accessors, packing: Layout, frame: Any
+    attributes: gltf_attributes.Accessors, packing: Layout, share: float, frame: Any
 ) -> gltf_attributes.Accessors | None:
-    """``attributes`` with their transfer turned to ``frame``; None where there is none."""
+    """``attributes`` with what is shown of them, turned to ``frame``; None where there is none."""
     values = gltf_attributes.read(attributes, packing.attributes)
     if values is None:
         return None
-    values = gltf_frame.turn_transfer(values, packing, frame)
-    return gltf_attributes.replaced(attributes, packing.attributes, values)
+    shown = _shown(packing, share)
+    turned = gltf_frame.turned(values, packing, shown, share, frame)
+    return gltf_attributes.replaced(attributes, shown.attributes, turned)
+
+
+def _shown(packing: Layout, share: float) -> Layout:
+    """The layout of the file: without what belongs to another light than the file's."""
+    return packing if share else Layout(packing.order, packing.channels)
 
 
 def _bare(mesh: Any) -> Any:
@@ -209,13 +218,14 @@ def _attribute_names(mesh: Any) -> set[str]:
     return {name for primitive in mesh.primitives for name in primitive.attributes}
 
 
-def _description(found: stamp.Stamp, matrix: Any) -> dict[str, Any]:
+def _description(layout: Layout, matrix: Any) -> dict[str, Any]:
     """``mesh.extras.prt``."""
     return {
         "version": VERSION,
-        "order": found.order,
-        "channels": found.channels,
-        "layout": list(found.packing.slots),
+        "order": layout.order,
+        "channels": layout.channels,
+        "layout": list(layout.slots),
+        **({"turns": layout.turns} if layout.turns > 1 else {}),
         "frame": "world",
         "matrix": matrix.ravel(order="F").tolist(),
         "basis": BASIS,
@@ -230,7 +240,16 @@ def _light(light: light_state.LightState, frame: Any) -> dict[str, Any]:
         "order": sh.order_of(len(light.radiance_sh)),
         "radiance_sh": sh.rotate(light.radiance_sh, frame).tolist(),
         "baked_radiance_sh": sh.rotate(light.baked_radiance_sh, frame).tolist(),
-        "lights": [],
+        "lights": [_peak(peak, frame) for peak in light.peaks],
+    }
+
+
+def _peak(peak: Peak, frame: Any) -> dict[str, Any]:
+    """One of ``prt_light.lights``."""
+    return {
+        "direction": (frame @ np.array(peak.direction)).tolist(),
+        "irradiance": list(peak.irradiance),
+        "angular_radius": peak.angular_radius,
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .prt import sh
-from .prt.layout import Layout, pack, unpack
+from .prt.layout import Layout, Values, pack, unpack
 
 Float = npt.NDArray[np.float64]
 
@@ -19,18 +19,22 @@ Y_UP: Float = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 Z_UP: Float = np.eye(3)  # an export with +Y Up switched off
 
 
-def turn_transfer(
-    values: npt.NDArray[np.float32], layout: Layout, frame: Float
+def turned(
+    values: npt.NDArray[np.float32], layout: Layout, shown: Layout, share: float, frame: Float
 ) -> npt.NDArray[np.float32]:
-    """Attribute values (E, 4 k) with their transfer turned to ``frame``; the residual and the
-    visibilities have no direction.  What is not finite becomes 0: glTF allows no NaN."""
-    finite = np.nan_to_num(values, posinf=0, neginf=0)
-    turn = sh.rotation_matrix(frame, layout.order)
-    turned = np.array(finite)
-    count = layout.transfer_slots
-    transfer = unpack(layout, finite) @ turn.T
-    turned[:, :count] = pack(layout, transfer.astype(np.float32))[:, :count]
-    return turned
+    """Attribute values (E, 4 k) of ``layout`` as those of ``shown``, which may have less, with the
+    transfer turned to ``frame`` and a ``share`` of the residuals, which have no direction; nor have
+    the visibilities.  What is not finite becomes 0: glTF allows no NaN."""
+    stored = unpack(layout, np.nan_to_num(values, posinf=0, neginf=0))
+    transfer = stored.transfer @ sh.rotation_matrix(frame, layout.order).T
+    return pack(
+        shown,
+        Values(
+            transfer.astype(np.float32),
+            np.float32(share) * stored.residual[:, : shown.turns],
+            stored.visibility[:, : shown.lights],
+        ),
+    )
 
 
 def turn_matrix(matrix: npt.ArrayLike, frame: Float) -> Float:

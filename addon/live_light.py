@@ -60,11 +60,9 @@ def _follow(scene: bpy.types.Scene, simple: SimpleWorld | None) -> tuple[bool, s
     radiance = world_sh(image_sh, simple.strength, simple.rotation)
     if simple.image_key == state.image_key and np.array_equal(radiance, state.radiance_sh):
         return False, ""
-    writeback.set_light(radiance)
-    light_state.write(
-        scene,
-        replace(state, image_key=simple.image_key, image_sh=image_sh, radiance_sh=radiance),
-    )
+    now = replace(state, image_key=simple.image_key, image_sh=image_sh, radiance_sh=radiance)
+    writeback.set_light(now)
+    light_state.write(scene, now)
     return True, ""
 
 

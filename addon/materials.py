@@ -62,7 +62,7 @@ def detach(material: bpy.types.Material) -> None:
 def layout_of(material: bpy.types.Material) -> Layout | None:
     """The layout that ``material`` shows; None where it shows no bake."""
     state = _state(material)
-    return Layout(**state["layout"]) if state else None
+    return Layout.of(state["layout"]) if state else None
 
 
 def attached() -> list[bpy.types.Material]:
@@ -81,7 +81,7 @@ def refresh(material: bpy.types.Material, depsgraph: bpy.types.Depsgraph) -> boo
     whole = shading_tree.is_whole(tree, plan)
     if whole and state["structure"] == _structure(plan):
         return shading_tree.sync(tree, plan)
-    attach(material, Layout(**state["layout"]))
+    attach(material, Layout.of(state["layout"]))
     return True
 
 

@@ -1,22 +1,27 @@
-"""The node group *PRT Shading*: baked transfer times the light that it holds.
+"""The node group *PRT Shading*: what is baked times the light that it holds.
 
 One group for each layout in use, and one light for all of them.  Inputs: Base Color.  Outputs:
 Shader, an emission, and Exit Radiance, its colour (W sr⁻¹ m⁻², base colour included, never
-negative).
+negative).  The light's numbers are the values of nodes: ``L i`` its coefficients, ``R k`` the
+weights of the residuals, ``S j`` the lights cut out and ``P i`` what they take from the transfer.
+The object's ``prt_exact`` says how much of all but the ``L i`` it shows.
 """
 
 import json
+from collections.abc import Iterator
 from dataclasses import asdict
 
 import bpy
 import numpy as np
-import numpy.typing as npt
 
+from . import light_state, stamp
+from .light_state import LightState
 from .prt.layout import Layout
 
 NAME = "PRT Shading"
 TAG = "prt_layout"
-Sockets = list[bpy.types.NodeSocket]
+Socket = bpy.types.NodeSocket
+Named = list[tuple[str, Socket]]
 
 
 def group(layout: Layout) -> bpy.types.NodeTree:
@@ -32,13 +37,12 @@ def groups() -> list[bpy.types.NodeTree]:
 
 def layout_of(tree: bpy.types.NodeTree) -> Layout:
     """The layout of the attributes that the group reads."""
-    return Layout(**json.loads(tree[TAG]))
+    return Layout.of(json.loads(tree[TAG]))
 
 
-def set_light(radiance_sh: npt.NDArray[np.float64]) -> bool:
-    """Light every group with coefficients (25, 3), W sr⁻¹ m⁻²; True when something changed."""
-    radiance = np.asarray(radiance_sh, np.float32)
-    changed = [_light(tree, radiance) for tree in groups()]
+def set_light(light: LightState) -> bool:
+    """Light every group; True when something changed."""
+    changed = [_light(tree, light) for tree in groups()]
     return any(changed)
 
 
@@ -50,25 +54,64 @@ def free_unused() -> None:
         groups()[0].name = NAME
 
 
-def _light(tree: bpy.types.NodeTree, radiance: npt.NDArray[np.float32]) -> bool:
+def _light(tree: bpy.types.NodeTree, light: LightState) -> bool:
     changed = False
-    for i in range(layout_of(tree).order ** 2):
-        socket = tree.nodes[f"L{i}"].inputs[1]
-        if not np.array_equal(socket.default_value, radiance[i]):
-            socket.default_value = radiance[i]
+    for name, value in _values(layout_of(tree), light):
+        socket = tree.nodes[name].inputs[1]
+        if not np.array_equal(socket.default_value, value):
+            socket.default_value = value
             changed = True
     return changed
 
 
+def _values(layout: Layout, light: LightState) -> Iterator[tuple[str, np.ndarray]]:
+    """What each node of a group of ``layout`` holds, (3,) float32."""
+    terms = light_state.terms(light, layout)
+    lights = np.zeros((layout.lights, 3))  # all, where the present ones are fewer
+    lights[: len(terms.lights)] = terms.lights
+    count = layout.order**2
+    rows = {"L": light.radiance_sh[:count], "R": terms.residual, "S": lights}
+    if layout.lights:
+        rows["P"] = -terms.cut_out[:count]
+    for letter, values in rows.items():
+        for i, value in enumerate(np.asarray(values, np.float32)):
+            yield f"{letter}{i}", value
+
+
 def _build(layout: Layout) -> bpy.types.NodeTree:
-    several = f"order {layout.order}" + ", RGB" * (layout.channels == 3)
-    name = f"{NAME} ({several})" if NAME in bpy.data.node_groups else NAME
+    name = f"{NAME} ({layout})" if NAME in bpy.data.node_groups else NAME
     tree = bpy.data.node_groups.new(name, "ShaderNodeTree")
     tree[TAG] = json.dumps(asdict(layout))
     _interface(tree)
-    total = _weighted_sum(tree, _transfer(tree, layout))
-    _shade(tree, total, layout.order**2)
+    _shade(tree, _exit_radiance(tree, layout), layout.order**2)
     return tree
+
+
+def _exit_radiance(tree: bpy.types.NodeTree, layout: Layout) -> Socket:
+    """Of a white surface, not clamped yet."""
+    floats = iter(_floats(tree, layout))
+    width, rows = (1 if layout.channels == 1 else 3), iter(range(100))
+
+    def stored(letter: str, count: int, width: int) -> Named:
+        return [
+            (f"{letter}{i}", _joined(tree, [next(floats) for _ in range(width)], next(rows)))
+            for i in range(count)
+        ]
+
+    transfer = stored("T", layout.order**2, width)
+    residuals, visibilities = stored("R", layout.turns, 3), stored("S", layout.lights, 1)
+    total = _weighted_sum(tree, [(f"L{name[1:]}", socket) for name, socket in transfer], 0)
+    if residuals or visibilities:
+        exact = _node(tree, "ShaderNodeAttribute", -300, 400)
+        exact.attribute_type, exact.attribute_name = "OBJECT", stamp.EXACT
+        share = exact.outputs["Fac"]
+    if residuals:
+        total = _plus(tree, _weighted_sum(tree, residuals, 1), share, total)
+    if visibilities:
+        taken = [(f"P{name[1:]}", socket) for name, socket in transfer]
+        lamps = _weighted_sum(tree, visibilities + taken, 2)
+        total = _plus(tree, lamps, _whether(tree, share), total)
+    return total
 
 
 def _interface(tree: bpy.types.NodeTree) -> None:
@@ -79,48 +122,64 @@ def _interface(tree: bpy.types.NodeTree) -> None:
     face.new_socket("Exit Radiance", in_out="OUTPUT", socket_type="NodeSocketColor")
 
 
-def _transfer(tree: bpy.types.NodeTree, layout: Layout) -> Sockets:
-    """The transfer of each coefficient, a number or a colour."""
-    floats: Sockets = []
-    for k, name in enumerate(layout.attributes):
-        floats += _four_floats(tree, name, k, min(layout.transfer_slots - 4 * k, 4))
-    if layout.channels == 1:
-        return floats
-    return [_combined(tree, floats[3 * i : 3 * i + 3], i) for i in range(layout.order**2)]
+def _floats(tree: bpy.types.NodeTree, layout: Layout) -> list[Socket]:
+    """Every float that the layout uses.  An alpha that is not used stays unread: where the
+    attribute is missing it is 1."""
+    floats: list[Socket] = []
+    for row, name in enumerate(layout.attributes):
+        attribute = _node(tree, "ShaderNodeAttribute", -700, -220 * row)
+        attribute.attribute_type, attribute.attribute_name = "GEOMETRY", name
+        separate = _node(tree, "ShaderNodeSeparateXYZ", -500, -220 * row)
+        tree.links.new(attribute.outputs["Vector"], separate.inputs[0])
+        floats += [*separate.outputs, attribute.outputs["Alpha"]]
+    return [socket for socket, name in zip(floats, layout.slots, strict=True) if name]
 
 
-def _four_floats(tree: bpy.types.NodeTree, name: str, row: int, used: int) -> Sockets:
-    """The first ``used`` floats of an attribute.  An alpha that is not used stays unread: where
-    the attribute is missing it is 1."""
-    if used <= 0:
-        return []
-    attribute = _node(tree, "ShaderNodeAttribute", -700, -220 * row)
-    attribute.attribute_type, attribute.attribute_name = "GEOMETRY", name
-    separate = _node(tree, "ShaderNodeSeparateXYZ", -500, -220 * row)
-    tree.links.new(attribute.outputs["Vector"], separate.inputs[0])
-    return [*separate.outputs, attribute.outputs["Alpha"]][:used]
-
-
-def _combined(tree: bpy.types.NodeTree, floats: Sockets, row: int) -> bpy.types.NodeSocket:
+def _joined(tree: bpy.types.NodeTree, floats: list[Socket], row: int) -> Socket:
+    """One float as it is, three as a colour."""
+    if len(floats) == 1:
+        return floats[0]
     combine = _node(tree, "ShaderNodeCombineXYZ", -300, -150 * row)
     for socket, place in zip(floats, combine.inputs, strict=True):
         tree.links.new(socket, place)
     return combine.outputs[0]
 
 
-def _weighted_sum(tree: bpy.types.NodeTree, transfer: Sockets) -> bpy.types.NodeSocket:
-    """The sum of transfer times light; node ``L i`` holds the light's coefficient i."""
-    total: bpy.types.NodeSocket | None = None
-    for i, factor in enumerate(transfer):
-        term = _node(tree, "ShaderNodeVectorMath", -100 + 180 * i, -60 * i)
-        term.name = term.label = f"L{i}"
-        term.operation = "MULTIPLY_ADD"
-        term.inputs[1].default_value = term.inputs[2].default_value = (0, 0, 0)
+def _weighted_sum(tree: bpy.types.NodeTree, factors: Named, row: int) -> Socket:
+    """The sum of the factors times what the nodes of their names hold."""
+    total = None
+    for i, (name, factor) in enumerate(factors):
+        term = _multiply_add(tree, -100 + 180 * i, -60 * i - 900 * row)
+        term.name = term.label = name
         tree.links.new(factor, term.inputs[0])
         if total is not None:
             tree.links.new(total, term.inputs[2])
         total = term.outputs[0]
     return total
+
+
+def _plus(tree: bpy.types.NodeTree, term: Socket, share: Socket, total: Socket) -> Socket:
+    """``total`` and its ``share`` of ``term``."""
+    node = _multiply_add(tree, 180, 400)
+    for place, socket in zip(node.inputs, (term, share, total), strict=False):
+        tree.links.new(socket, place)
+    return node.outputs[0]
+
+
+def _whether(tree: bpy.types.NodeTree, share: Socket) -> Socket:
+    """1 where there is any ``share``."""
+    node = _node(tree, "ShaderNodeMath", 0, 400)
+    node.operation = "GREATER_THAN"
+    node.inputs[1].default_value = 0
+    tree.links.new(share, node.inputs[0])
+    return node.outputs[0]
+
+
+def _multiply_add(tree: bpy.types.NodeTree, x: float, y: float) -> bpy.types.Node:
+    node = _node(tree, "ShaderNodeVectorMath", x, y)
+    node.operation = "MULTIPLY_ADD"
+    node.inputs[1].default_value = node.inputs[2].default_value = (0, 0, 0)
+    return node
 
 
 def _shade(tree: bpy.types.NodeTree, total: bpy.types.NodeSocket, column: int) -> None:

@@ -34,8 +34,9 @@ def default_objects(context: bpy.types.Context) -> list[bpy.types.Object]:
     return []
 
 
-def check_objects(objects: Sequence[bpy.types.Object]) -> None:
-    """BakeError for the first of ``objects`` that can't be baked, or when there are none."""
+def check_objects(objects: Sequence[bpy.types.Object]) -> tuple[Receiver, ...]:
+    """``objects`` as they are now; BakeError for the first that can't be baked, or when there are
+    none."""
     if not objects:
         raise BakeError("There is no mesh to bake: select one or make one visible")
     rendered = scene_objects(bpy.context.view_layer)
@@ -43,7 +44,7 @@ def check_objects(objects: Sequence[bpy.types.Object]) -> None:
         sentence = _problem(obj, rendered)
         if sentence:
             raise BakeError(sentence)
-    read_receivers(bpy.context.evaluated_depsgraph_get(), objects)
+    return read_receivers(bpy.context.evaluated_depsgraph_get(), objects)
 
 
 def _problem(obj: bpy.types.Object, rendered: set[bpy.types.Object]) -> str | None:

@@ -1,10 +1,14 @@
-"""What a baked object says of its bake: ``object["prt_stamp"]`` (JSON) and ``object["prt_baked"]``.
+"""What a baked object says of its bake: ``object["prt_stamp"]`` (JSON) and two numbers that the
+materials read.
 
-``prt_baked`` is the switch that the materials read: 1.0 shows the bake, 0.0 (a stale bake) and a
-missing one (never baked) show the artist's shader.
+``prt_baked`` is a switch: 1.0 shows the bake, 0.0 (a stale bake) and a missing one (never baked)
+show the artist's shader.  ``prt_exact`` is the share of the stored residual that belongs to the
+scene's baked light: 1.0 where the object was baked under that very light, and 0.0 or missing where
+it was under another one, so that it shows the spherical harmonics alone.
 """
 
 import json
+from collections import Counter
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 
@@ -14,14 +18,24 @@ from .prt.layout import Layout
 
 KEY = "prt_stamp"
 SWITCH = "prt_baked"
-VERSION = 1
+EXACT = "prt_exact"
+MARKS = (KEY, SWITCH, EXACT)
+VERSION = 2
+READABLE = (1, VERSION)
 
 
 @dataclass(frozen=True)
 class Stamp:
     """``matrix`` is the object's world 3x3, column-major, and ``location`` its place when baked;
     ``mesh_signature`` names the mesh data that was baked; ``job_hash`` everything that decided the
-    result; errors are relative RMS of the transfer, None where unknown."""
+    result; ``rays`` are those a point.
+
+    Errors are relative RMS, None where unknown.  Of the transfer: ``estimated_error`` is its noise,
+    ``interpolation_error`` what the mesh loses between its vertices, ``measured_error`` both, as
+    *Verify* found them, and ``measured_at_points`` the noise alone.  Of the light that leaves a
+    white surface: ``light_error`` as measured where the world is ``light_at_bake`` (else it was
+    another one by then), and ``plain_error``, what the light's order leaves out where no residual
+    mends it."""
 
     order: int
     channels: int
@@ -38,13 +52,18 @@ class Stamp:
     mrays_per_second: float
     estimated_error: float | None = None
     measured_error: float | None = None
+    interpolation_error: float | None = None
+    measured_at_points: float | None = None
+    light_error: float | None = None
+    light_at_bake: bool = True
+    plain_error: float | None = None
     version: int = VERSION
 
     @property
     def packing(self) -> Layout:
         """The layout that its attributes have."""
-        lights = sum(name.startswith("S") for name in self.layout)
-        return Layout(self.order, self.channels, "R0r" in self.layout, lights)
+        letters = Counter(name[:1] for name in self.layout)
+        return Layout(self.order, self.channels, letters["R"] // 3, letters["S"])
 
 
 def read(obj: bpy.types.Object) -> Stamp | None:
@@ -57,15 +76,16 @@ def read(obj: bpy.types.Object) -> Stamp | None:
 def _parse(text: str) -> Stamp | None:
     """Kept, because handlers and panels ask at every change and every redraw."""
     values = json.loads(text)
-    if values.get("version") != VERSION:
+    if values.get("version") not in READABLE:
         return None
+    values["version"] = VERSION
     for name in ("layout", "matrix", "location"):
         values[name] = tuple(values[name])
     return Stamp(**values)
 
 
 def write(obj: bpy.types.Object, stamp: Stamp) -> None:
-    """Stamp ``obj`` and switch its bake on."""
+    """Stamp ``obj``, whose share of the residual stays as it is, and switch its bake on."""
     obj[KEY] = json.dumps(asdict(stamp))
     switch(obj, on=True)
 
@@ -78,9 +98,21 @@ def switch(obj: bpy.types.Object, on: bool) -> None:
         obj.update_tag()
 
 
+def share(obj: bpy.types.Object) -> float:
+    """How much of its residual ``obj`` shows under the scene's baked light."""
+    return float(obj.get(EXACT, 0.0))
+
+
+def set_share(obj: bpy.types.Object, value: float) -> None:
+    """Let it be ``value``; touches nothing that is already so."""
+    if share(obj) != value or EXACT not in obj:
+        obj[EXACT] = float(value)
+        obj.update_tag()
+
+
 def remove(obj: bpy.types.Object) -> None:
-    """Take stamp and switch away."""
-    for key in (KEY, SWITCH):
+    """Take stamp and switches away."""
+    for key in MARKS:
         if key in obj:
             del obj[key]
     obj.update_tag()

@@ -26,8 +26,16 @@ Baked = tuple[bpy.types.Object, ReceiverResult, Stamp]
 set_light = nodes.set_light
 
 
-def check(scene: bpy.types.Scene, objects: list[bpy.types.Object], layout: Layout) -> None:
-    """Refuse, before anything is baked, what could not be written or shown afterwards."""
+def check(
+    scene: bpy.types.Scene,
+    objects: list[bpy.types.Object],
+    layout: Layout,
+    least: Layout | None = None,
+) -> None:
+    """Refuse, before anything is baked, what could not be written or shown afterwards.
+
+    ``layout`` is the most that will be stored, ``least`` the least, where that is not yet known.
+    """
     layouts.check(layout)
     depsgraph = carrier.depsgraph_of(scene)
     for obj in objects:
@@ -38,7 +46,7 @@ def check(scene: bpy.types.Scene, objects: list[bpy.types.Object], layout: Layou
                     "make it local, or give the object a material of this file"
                 )
             layouts.check(layout, len(material_attributes.of(material)), material.name)
-    _check_shared(objects, layout, depsgraph)
+    _check_shared(objects, least or layout, layout, depsgraph)
 
 
 def notes(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> list[str]:
@@ -90,7 +98,7 @@ def _prepare(
 ) -> _Prepared:
     """Everything that can fail, before the object is touched."""
     domain = its_stamp.domain
-    values = layouts.pack(layout, result.at_elements(result.transfer))
+    values = layouts.pack(layout, layouts.at_elements(result))
     with carrier.evaluated_mesh(obj, depsgraph) as mesh:
         expected = len(mesh.vertices if domain == "POINT" else mesh.loops)
     if len(values) != expected:
@@ -114,6 +122,7 @@ def _write_object(undo: ExitStack, one: _Prepared) -> None:
     undo.callback(default_slots.restore, obj, default_slots.filled(obj))
     default_slots.fill(obj)
     stamp.write(obj, one.stamp)
+    stamp.set_share(obj, 1.0)
 
 
 def _restore(
@@ -134,7 +143,7 @@ def _restore(
 
 
 def _marks(obj: bpy.types.Object) -> dict[str, Any]:
-    return {key: obj[key] for key in (stamp.KEY, stamp.SWITCH) if key in obj}
+    return {key: obj[key] for key in stamp.MARKS if key in obj}
 
 
 def _attach(undo: ExitStack, material: bpy.types.Material, layout: Layout) -> None:
@@ -159,19 +168,19 @@ def _held_by_mesh(mesh: bpy.types.Mesh, but: bpy.types.Object) -> bool:
 
 
 def _check_shared(
-    objects: list[bpy.types.Object], layout: Layout, depsgraph: bpy.types.Depsgraph
+    objects: list[bpy.types.Object], least: Layout, most: Layout, depsgraph: bpy.types.Depsgraph
 ) -> None:
     """One material shows one layout."""
     wanted = set(_materials_of(objects, depsgraph))
     for other in bpy.data.objects:
         its_stamp = stamp.read(other)
-        if other in objects or its_stamp is None or its_stamp.packing == layout:
+        if other in objects or its_stamp is None or its_stamp.packing.between(least, most):
             continue
         shared = next((m for m in materials.of(other, depsgraph) if m in wanted), None)
         if shared is not None:
             raise BakeError(
-                f"{other.name!r} was baked with order {its_stamp.order} and shares material "
-                f"{shared.name!r}: bake both together, or with that order"
+                f"{other.name!r} was baked with {its_stamp.packing} and shares material "
+                f"{shared.name!r}: bake both together, or with the same settings"
             )
 
 

@@ -22,7 +22,7 @@ class PRT_OT_verify(JobOperator, bpy.types.Operator):
         """Measure the error of each bake."""
         self.names = [obj.name for obj in selection.baked_objects(context)]
         chosen = properties.settings(context.scene, verify=True)
-        return bake.verify(self.names, chosen)
+        return bake.verify(context.scene.name, self.names, chosen)
 
     def done(self) -> str:
         """The worst of the errors."""

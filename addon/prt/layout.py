@@ -1,30 +1,45 @@
-"""How transfer vectors lie in attributes of four floats each.
+"""How a bake lies in attributes of four floats each.
 
 ``slots`` names every float: float ``4 k + c`` of the attributes is ``slots[4 k + c]``, "" where
-unused.  One channel: T0, T1, ...; three channels: T0r, T0g, T0b, T1r, ...; then the residual
-R0r, R0g, R0b; then S0 .. S3, the visibilities of lights cut out of the map.
+unused.  One channel: T0, T1, ...; three channels: T0r, T0g, T0b, T1r, ...; then the residuals
+R0r, R0g, R0b, R1r, ..., one for each turn of the world; then S0 .. S3, the visibilities of lights
+cut out of the map.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import astuple, dataclass, replace
+from math import isqrt
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from .errors import BakeError
+from .job import ReceiverResult
 
 MAX_ATTRIBUTES = 14  # EEVEE reads no more in one material
 PREFIX = "_PRT_"
-RESIDUAL = ("R0r", "R0g", "R0b")
+CHANNELS = ("r", "g", "b")
+
+Floats = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What a bake stores at every vertex or corner."""
+    """What a bake stores at every vertex or corner: ``turns`` residuals, 0 for none, and the
+    visibilities of ``lights``."""
 
     order: int
     channels: int = 1
-    residual: bool = False
+    turns: int = 0
     lights: int = 0
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> "Layout":
+        """The layout whose fields are ``values``, as files keep them; 1.0.0 kept no turns."""
+        fields = {"turns": int(values.get("residual", 0)), **values}
+        fields.pop("residual", None)
+        return cls(**fields)
 
     @property
     def transfer_slots(self) -> int:
@@ -34,10 +49,10 @@ class Layout:
     @property
     def slots(self) -> tuple[str, ...]:
         """The name of every float, padded with "" to a multiple of four."""
-        suffixes = ("",) if self.channels == 1 else ("r", "g", "b")
+        suffixes = ("",) if self.channels == 1 else CHANNELS
         names = [f"T{i}{s}" for i in range(self.order**2) for s in suffixes]
-        names += RESIDUAL if self.residual else ()
-        names += [f"S{i}" for i in range(self.lights)]
+        names += [f"R{k}{s}" for k in range(self.turns) for s in CHANNELS]
+        names += [f"S{j}" for j in range(self.lights)]
         return tuple(names + [""] * (-len(names) % 4))
 
     @property
@@ -45,31 +60,101 @@ class Layout:
         """The attributes' names, _PRT_0 first."""
         return tuple(f"{PREFIX}{k}" for k in range(len(self.slots) // 4))
 
+    def __str__(self) -> str:
+        """What is stored, in an artist's words."""
+        parts = [f"{self.channels} channels"] if self.channels > 1 else []
+        parts += [f"{self.turns} turns"] if self.turns > 1 else []
+        parts += [f"{self.lights} peak{'s' * (self.lights > 1)}"] if self.lights else []
+        parts += ["no residual"] if not self.turns else []
+        return f"order {self.order}{' with ' * bool(parts)}{' and '.join(parts)}"
+
+    def between(self, least: "Layout", most: "Layout") -> bool:
+        """Whether it stores no less than ``least`` and no more than ``most``."""
+        fields = zip(astuple(least), astuple(self), astuple(most), strict=True)
+        return all(low <= here <= high for low, here, high in fields)
+
+
+@dataclass(frozen=True)
+class Values:
+    """What a bake holds at E elements, float32: ``transfer`` (E, channels, n²), ``residual``
+    (E, turns, 3) and ``visibility`` (E, lights), as in ``ReceiverResult``."""
+
+    transfer: Floats
+    residual: Floats
+    visibility: Floats
+
+
+def at_elements(result: ReceiverResult) -> Values:
+    """``result`` at every vertex or corner."""
+    arrays = (result.transfer, result.residual, result.visibility)
+    return Values(*map(result.at_elements, arrays))
+
+
+def covering(results: Iterable[ReceiverResult]) -> Layout:
+    """The smallest layout that holds all of ``results``."""
+    shapes = [(r.transfer.shape, r.residual.shape[1], r.visibility.shape[1]) for r in results]
+    return Layout(
+        order=max(isqrt(transfer[2]) for transfer, _, _ in shapes),
+        channels=max(transfer[1] for transfer, _, _ in shapes),
+        turns=max(turns for _, turns, _ in shapes),
+        lights=max(lights for _, _, lights in shapes),
+    )
+
 
 def check(layout: Layout, others: int = 0, material: str = "") -> None:
     """Refuse, with BakeError, what EEVEE's 14 attributes cannot hold beside ``others``."""
-    needed = len(layout.attributes) + others
-    if needed <= MAX_ATTRIBUTES:
+    used = len(layout.attributes)
+    if used + others <= MAX_ATTRIBUTES:
         return
     beside = f" beside the {others} that material {material!r} reads" if others else ""
     raise BakeError(
-        f"Order {layout.order} with {layout.channels} channel{'s' * (layout.channels > 1)} takes "
-        f"{len(layout.attributes)} vertex attributes{beside}, and EEVEE reads at most "
-        f"{MAX_ATTRIBUTES}: choose a lower order"
+        f"A bake of {layout} takes {used} vertex attributes{beside}, and EEVEE reads at most "
+        f"{MAX_ATTRIBUTES}: {_advice(layout)}"
     )
 
 
-def pack(layout: Layout, transfer: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Transfer (E, channels, n²) as attribute values (E, 4 k), unused floats 0."""
-    values = np.zeros((len(transfer), len(layout.slots)), np.float32)
-    flat = transfer.transpose(0, 2, 1).reshape(len(transfer), layout.transfer_slots)
-    values[:, : layout.transfer_slots] = flat
-    return values
+def pack(layout: Layout, values: Values) -> Floats:
+    """Attribute values (E, 4 k); what ``values`` don't have is 0, and one channel stands for
+    three."""
+    count = len(values.transfer)
+    transfer = np.zeros((count, layout.order**2, layout.channels), np.float32)
+    transfer[:, : values.transfer.shape[2]] = values.transfer.transpose(0, 2, 1)
+    packed = np.zeros((count, len(layout.slots)), np.float32)
+    start = layout.transfer_slots
+    packed[:, :start] = transfer.reshape(count, start)
+    for array in (values.residual.reshape(count, 3 * values.residual.shape[1]), values.visibility):
+        packed[:, start : start + array.shape[1]] = array
+        start += 3 * layout.turns
+    return packed
 
 
-def unpack(layout: Layout, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Attribute values (E, 4 k) as transfer (E, channels, n²)."""
-    transfer = values[:, : layout.transfer_slots].reshape(
-        len(values), layout.order**2, layout.channels
+def unpack(layout: Layout, packed: Floats) -> Values:
+    """What attribute values (E, 4 k) hold."""
+    count, start = len(packed), layout.transfer_slots
+    transfer = packed[:, :start].reshape(count, layout.order**2, layout.channels)
+    end = start + 3 * layout.turns
+    return Values(
+        np.ascontiguousarray(transfer.transpose(0, 2, 1)),
+        packed[:, start:end].reshape(count, layout.turns, 3),
+        packed[:, end : end + layout.lights],
     )
-    return np.ascontiguousarray(transfer.transpose(0, 2, 1))
+
+
+def _advice(layout: Layout) -> str:
+    """What would take fewer attributes."""
+    savings = {
+        "choose a lower order": replace(layout, order=2),
+        "fewer turns": replace(layout, turns=min(1, layout.turns)),
+        "fewer peaks": replace(layout, lights=0),
+        "no residual (Exact at This World)": replace(layout, turns=0),
+    }
+    helping = [
+        words
+        for words, less in savings.items()
+        if len(less.attributes) < len(layout.attributes)
+        and not (words.startswith("no residual") and layout.turns > 1)
+    ]
+    if not helping:
+        return "let the material read fewer"
+    sentence = " or ".join(helping)
+    return sentence if sentence.startswith("choose") else f"choose {sentence}"

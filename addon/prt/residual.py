@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from . import sh
 from .job import LIGHT_ORDER, Peak
+from .layout import Values
 
 Float = npt.NDArray[np.float64]
 
@@ -84,6 +85,21 @@ def terms(
     shown = residual[0]
     irradiance = np.array([peak.irradiance for peak in peaks]).reshape(-1, 3)
     return Terms(residual[:turns], shown * irradiance / pi, shown * peaks_sh(peaks))
+
+
+def beyond(values: Values, by: Terms, share: float = 1.0) -> Float:
+    """Exit radiance (E, 3) of a white surface that ``values`` add to their transfer's, the light
+    being that of ``by``; of the residual a ``share`` is shown, and nothing else where that is 0."""
+    total = share * np.einsum("ekc,kc->ec", values.residual, by.residual)
+    if share and len(by.lights):
+        total += values.visibility @ by.lights - shaded(values.transfer, by.cut_out)
+    return np.asarray(total)
+
+
+def shaded(transfer: npt.NDArray[np.float32], radiance_sh: Float) -> Float:
+    """Exit radiance (E, 3) of a white surface: ``transfer`` (E, channels, n²) times light."""
+    three = np.broadcast_to(transfer, (len(transfer), 3, transfer.shape[2]))
+    return np.asarray(np.einsum("eci,ic->ec", three, radiance_sh[: transfer.shape[2]]))
 
 
 @lru_cache(maxsize=16)

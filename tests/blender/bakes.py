@@ -77,14 +77,20 @@ def full(count):
 
 
 def random_bake(obj, layout, domain="POINT", seed=0):
-    """A bake of random transfer for every vertex or corner of ``obj``."""
+    """A bake of random values for every vertex or corner of ``obj``."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     with carrier.evaluated_mesh(obj, depsgraph) as mesh:
         count = len(mesh.vertices if domain == "POINT" else mesh.loops)
     rng = np.random.default_rng(seed)
     transfer = rng.normal(0, 0.3, (count, layout.channels, layout.order**2))
     transfer[:, :, 0] = rng.uniform(0.8, 1.2, (count, layout.channels))
-    result = ReceiverResult(obj.name, transfer.astype(np.float32), np.arange(count, dtype=np.int32))
+    result = ReceiverResult(
+        obj.name,
+        transfer.astype(np.float32),
+        np.arange(count, dtype=np.int32),
+        rng.normal(0, 0.1, (count, layout.turns, 3)).astype(np.float32),
+        rng.uniform(0, 1, (count, layout.lights)).astype(np.float32),
+    )
     return obj, result, stamp_for(obj, layout, domain)
 
 
@@ -93,6 +99,7 @@ def constant_bake(obj, layout):
     obj, result, stamp = random_bake(obj, layout)
     result.transfer[:] = 0
     result.transfer[:, :, 0] = 1
+    result.residual[:] = result.visibility[:] = 0
     return obj, result, stamp
 
 

@@ -8,13 +8,18 @@ from prt_baker.addon import attributes, remove, writeback
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.layout import Layout
 
+LAYOUTS = [Layout(2), Layout(4, 3), Layout(3, turns=1), Layout(2, turns=3, lights=2)]
+
 
 @pytest.mark.parametrize("domain", ["POINT", "CORNER"])
-@pytest.mark.parametrize("layout", [Layout(2), Layout(3), Layout(4, 3), Layout(3, residual=True)])
+@pytest.mark.parametrize("layout", LAYOUTS)
 def test_what_is_written_reads_back_equal(scene, layout, domain):
     obj = quad(scene)
     [(_, result, stamp)] = write(scene, layout, obj, domain=domain)
-    np.testing.assert_array_equal(attributes.read(obj, stamp), result.transfer)
+    held = attributes.read(obj, stamp)
+    np.testing.assert_array_equal(held.transfer, result.transfer)
+    np.testing.assert_array_equal(held.residual, result.residual)
+    np.testing.assert_array_equal(held.visibility, result.visibility)
 
 
 def test_a_second_bake_replaces_the_first(scene):
@@ -22,7 +27,7 @@ def test_a_second_bake_replaces_the_first(scene):
     write(scene, Layout(5), obj)
     [(_, result, stamp)] = write(scene, Layout(2), obj, domain="CORNER")
     assert attributes.names(obj.data) == ["_PRT_0"]
-    np.testing.assert_array_equal(attributes.read(obj, stamp), result.transfer)
+    np.testing.assert_array_equal(attributes.read(obj, stamp).transfer, result.transfer)
 
 
 @pytest.mark.parametrize("colours", [(), ("First",), ("First", "Second")])
@@ -45,7 +50,7 @@ def test_elements_that_were_not_traced_are_black(scene):
     obj, result, stamp = random_bake(quad(scene), Layout(3))
     result.element_points[1] = -1
     writeback.write(scene, [(obj, result, stamp)], Layout(3))
-    values = attributes.read(obj, stamp)
+    values = attributes.read(obj, stamp).transfer
     assert not values[1].any()
     np.testing.assert_array_equal(values[2], result.transfer[2])
 

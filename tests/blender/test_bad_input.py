@@ -53,7 +53,7 @@ def refused(scene, out, capsys, *options):
 
 def transfer(obj):
     """What was baked for every vertex of ``obj``, (V, n²)."""
-    return attributes.read(obj, stamp.read(obj))[:, 0]
+    return attributes.read(obj, stamp.read(obj)).transfer[:, 0]
 
 
 def huge(content):

@@ -71,8 +71,8 @@ def baked(scene, objects, settings=FEW, hdri=None):
 
 
 def held(obj):
-    """The values that ``obj`` shows."""
-    return attributes.read(obj, stamp.read(obj))
+    """The transfer that ``obj`` shows."""
+    return attributes.read(obj, stamp.read(obj)).transfer
 
 
 def computed(objects, settings, folder):
@@ -124,7 +124,7 @@ def test_the_light_is_that_of_the_world(scene, tmp_path):
     state = light_state.read(scene)
     np.testing.assert_allclose(state.radiance_sh, expected, atol=1e-6)
     np.testing.assert_array_equal(state.baked_radiance_sh, state.radiance_sh)
-    assert not writeback.set_light(state.radiance_sh), "the materials show it already"
+    assert not writeback.set_light(state), "the materials show it already"
 
 
 def test_the_same_seed_is_the_same_result_whatever_the_threads(scene):
@@ -232,7 +232,7 @@ def test_update_light_sees_painted_pixels(scene):
     np.testing.assert_allclose(after.radiance_sh[0], 1.5 * 0.25 * np.sqrt(4 * np.pi), rtol=1e-5)
     np.testing.assert_array_equal(after.baked_radiance_sh, before.baked_radiance_sh)
     np.testing.assert_array_equal(held(objects[0]), values)
-    assert not writeback.set_light(after.radiance_sh)
+    assert not writeback.set_light(after)
 
 
 def test_verify_stamps_the_error_that_is_there(scene):
@@ -242,14 +242,14 @@ def test_verify_stamps_the_error_that_is_there(scene):
     floor.data.shade_smooth()
     baked(scene, [floor])
     settings = Settings(verify_points=64, verify_rays=4096)
-    finish(bake.verify(["Floor"], settings))
+    finish(bake.verify(scene.name, ["Floor"], settings))
     assert stamp.read(floor).measured_error < 2e-3
     for name in attributes.names(floor.data):
         stored = floor.data.attributes[name].data
         values = np.empty(4 * len(stored), np.float32)
         stored.foreach_get("color", values)
         stored.foreach_set("color", 1.25 * values)
-    finish(bake.verify(["Floor"], settings))
+    finish(bake.verify(scene.name, ["Floor"], settings))
     assert stamp.read(floor).measured_error == pytest.approx(0.25, abs=2e-3)
 
 

@@ -85,7 +85,7 @@ def test_the_values_arrive_bit_for_bit(scene, domain):
     obj = subdivided(scene, 2)
     [(_, result, its_stamp)] = write(scene, LAYOUT, obj, domain=domain)
     np.testing.assert_array_equal(shown(obj)[:, :9], result.transfer[:, 0])
-    np.testing.assert_array_equal(attributes.read(obj, its_stamp), result.transfer)
+    np.testing.assert_array_equal(attributes.read(obj, its_stamp).transfer, result.transfer)
     assert not attributes.names(obj.data)
 
 
@@ -169,7 +169,7 @@ def test_carriers_survive_save_and_load(scene, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
     obj = bpy.data.objects["Quad"]
-    np.testing.assert_array_equal(attributes.read(obj, stamp.read(obj)), result.transfer)
+    np.testing.assert_array_equal(attributes.read(obj, stamp.read(obj)).transfer, result.transfer)
     np.testing.assert_array_equal(shown(obj)[:, :9], result.transfer[:, 0])
 
 

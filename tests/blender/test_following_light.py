@@ -13,6 +13,7 @@ from prt_baker.addon.prt.job import Settings
 from worlds import environment, loaded, picture
 
 ALBEDO = np.array([0.8, 0.6, 0.4])
+PLAIN = Settings(rays=256, residual=False)
 VIEW = 3.2  # metres, at ten pixels a metre
 
 
@@ -39,7 +40,7 @@ def run(steps):
 def baked(scene, tmp_path, monkeypatch):
     """The nodes of a world under which the floor is baked; from now on no engine may start."""
     nodes = stage(scene, tmp_path)
-    run(bake.bake(scene.name, ["Floor"], Settings(rays=256)))
+    run(bake.bake(scene.name, ["Floor"], PLAIN))
     monkeypatch.setattr(engine, "run", lambda *_: pytest.fail("the engine was started"))
     return nodes
 
@@ -58,7 +59,7 @@ def projected(pixels, nodes):
 def expected_picture(scene, radiance_sh):
     """Exit radiance (H, W, 3) at every pixel, by numpy: interpolated transfer times the light."""
     floor = bpy.data.objects["Floor"]
-    transfer = attributes.read(floor, stamp.read(floor))[:, 0].astype(np.float64)
+    transfer = attributes.read(floor, stamp.read(floor)).transfer[:, 0].astype(np.float64)
     pixels = scene.render.resolution_x
     centres = (np.arange(pixels) + 0.5) / 10
     x, y = np.meshgrid(centres, centres[::-1])
@@ -69,9 +70,9 @@ def expected_picture(scene, radiance_sh):
 
 def shown(scene):
     """The light that is kept, after a look whether it is also the one that the materials show."""
-    kept = light_state.read(scene).radiance_sh
+    kept = light_state.read(scene)
     assert not writeback.set_light(kept)
-    return kept
+    return kept.radiance_sh
 
 
 def test_a_quarter_turn_is_a_new_projection_without_a_ray(scene, tmp_path, baked, monkeypatch):
@@ -84,7 +85,7 @@ def test_a_quarter_turn_is_a_new_projection_without_a_ray(scene, tmp_path, baked
     assert np.abs(shown(scene) - before).max() > 0.1 * size
     turned = colour(render(scene, tmp_path), "Combined")
     monkeypatch.undo()
-    run(bake.bake(scene.name, ["Floor"], Settings(rays=256)))
+    run(bake.bake(scene.name, ["Floor"], PLAIN))
     fresh = colour(render(scene, tmp_path), "Combined")
     np.testing.assert_allclose(turned, fresh, atol=1e-3 * fresh.mean())
     np.testing.assert_allclose(turned, expected_picture(scene, expected), rtol=2e-3)
@@ -106,13 +107,13 @@ def test_a_rendered_animation_turns_the_light_frame_by_frame(scene, tmp_path, ba
 def test_strength_down_to_nothing_and_back(scene, baked, monkeypatch):
     before, written = shown(scene), []
     real = writeback.set_light
-    monkeypatch.setattr(writeback, "set_light", lambda sh: written.append(sh) or real(sh))
+    monkeypatch.setattr(writeback, "set_light", lambda now: written.append(now) or real(now))
     strength = baked["background"].inputs["Strength"]
     value = strength.default_value
     for step in (0, 0, value, value):
         strength.default_value = step
         bpy.context.view_layer.update()
-    assert [bool(light.any()) for light in written] == [False, True]
+    assert [bool(now.radiance_sh.any()) for now in written] == [False, True]
     np.testing.assert_array_equal(light_state.read(scene).radiance_sh, before)
     np.testing.assert_array_equal(light_state.read(scene).baked_radiance_sh, before)
 

@@ -29,8 +29,8 @@ def bake(scene, folder, follows=True):
     write(scene, Layout(3), obj)
     got, image_sh = world_light(scene, folder)
     radiance = truth(scene, folder)
-    writeback.set_light(radiance)
     state = LightState(got.image_key, image_sh, radiance, radiance, follows)
+    writeback.set_light(state)
     light_state.write(scene, state)
     update()
     return obj
@@ -42,9 +42,9 @@ def update():
 
 def shown(scene):
     """The light that is kept, after a look whether it is also the one that the materials show."""
-    kept = light_state.read(scene).radiance_sh
+    kept = light_state.read(scene)
     assert not writeback.set_light(kept)
-    return kept
+    return kept.radiance_sh
 
 
 def counted(monkeypatch, owner, name):
@@ -254,7 +254,7 @@ def test_a_rendered_light_follows_nothing(scene, tmp_path, no_engine):
 def test_a_fault_of_ours_is_not_swallowed(scene, tmp_path, monkeypatch):
     nodes = environment(scene, generated(picture()))
     bake(scene, tmp_path)
-    monkeypatch.setattr(writeback, "set_light", lambda radiance: 1 / 0)
+    monkeypatch.setattr(writeback, "set_light", lambda light: 1 / 0)
     nodes["background"].inputs["Strength"].default_value *= 3
     with pytest.raises(ZeroDivisionError):
         live_light.refresh(scene, bpy.context.evaluated_depsgraph_get())

@@ -20,7 +20,7 @@ def test_one_more_is_refused_by_name(scene):
 
 
 def test_order_5_with_three_channels_never_fits(scene):
-    with pytest.raises(BakeError, match="Order 5 with 3 channels"):
+    with pytest.raises(BakeError, match="order 5 with 3 channels"):
         writeback.check(scene, [quad(scene)], Layout(5, 3))
 
 

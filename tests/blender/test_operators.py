@@ -120,7 +120,7 @@ def test_verify_and_remove_are_about_the_selected_bakes_else_all(scene, cube, ca
     bpy.ops.prt.verify()
     other.select_set(False)
     bpy.ops.prt.verify()
-    assert [sorted(call[1]) for call in calls] == [["Cube.001"], ["Cube", "Cube.001"]]
+    assert [sorted(call[2]) for call in calls] == [["Cube.001"], ["Cube", "Cube.001"]]
     assert all(call[2].verify_points > 0 for call in calls)
 
 

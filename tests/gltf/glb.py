@@ -45,16 +45,17 @@ class Glb:
     def transfer(self, name):
         """Transfer (E, channels, n²) of the node ``name``, its primitives one after the other."""
         prt = self.prt(name)
+        channels = ["r", "g", "b"] if prt["channels"] == 3 else [""]
+        return self.slots(name, [[f"T{i}{c}" for i in range(prt["order"] ** 2)] for c in channels])
+
+    def slots(self, name, names):
+        """The floats of the node ``name`` in the slots called ``names``, (E, *shape of names)."""
+        layout = self.prt(name)["layout"]
         rows = [
-            np.concatenate([a[f"_PRT_{k}"] for k in range(len(prt["layout"]) // 4)], axis=1)
+            np.concatenate([a[f"_PRT_{k}"] for k in range(len(layout) // 4)], axis=1)
             for a in self.attributes(name)
         ]
-        values = np.concatenate(rows)
-        columns = [
-            [prt["layout"].index(f"T{i}{c}") for i in range(prt["order"] ** 2)]
-            for c in (["r", "g", "b"] if prt["channels"] == 3 else [""])
-        ]
-        return values[:, columns]
+        return np.concatenate(rows)[:, np.vectorize(layout.index)(names)]
 
     def world(self, name):
         """The world 3x3 of the node ``name``."""

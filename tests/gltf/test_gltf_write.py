@@ -27,7 +27,7 @@ def test_nan_becomes_zero(scene, bake, out):
 
 
 def test_gltf_validator_finds_no_error(scene, bake, out):
-    bake(sheared(), channels=3, residual=True)
+    bake(sheared(), channels=3, turns=2, lights=2)
     bake(monkey("Corner"), domain="CORNER")
     subdivided = monkey("Subdivided")
     subdivided.modifiers.new("Subdivision", "SUBSURF")
