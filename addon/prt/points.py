@@ -9,6 +9,7 @@ surface by a bias that scales with the coordinates' float32 spacing.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,12 @@ Index = npt.NDArray[np.int64]
 INWARD = 0.01  # share of the way to the host's centroid
 BIAS = 2.0**-19  # of the largest coordinate nearby: 16 steps of float32
 NORMAL_STEPS = 2**14  # normals closer than one step are one
-MIXERS = np.random.default_rng(0).integers(2**63, 2**64, 6, np.uint64) | np.uint64(1)
+MIXERS = np.array([0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
+LOW_BITS = np.uint64(0xFFFFFFFF)
+PIECE = 1 << 14
+ANGLE_STEPS = 2.0**29
+NO_HOST = np.int64(2**63 - 1)
+MORTON_BITS = 16  # an axis
 
 
 @dataclass(frozen=True)
@@ -62,76 +68,142 @@ def element_triangles(receiver: Receiver) -> npt.NDArray[np.int32]:
 
 
 def distinct_points(receiver: Receiver) -> Points:
-    """Every distinct (position, normal) of the elements that belong to a triangle with an area."""
-    surface = Surface.of(receiver)
-    hosts = _hosts(receiver, surface)
+    """Every distinct (position, normal) of the elements that belong to a triangle with an area.
+
+    Coordinates are kept as columns and worked on in pieces that stay in the processor's cache.
+    """
+    columns = np.ascontiguousarray(np.asarray(receiver.vertices).T, np.float64)
+    hosts = _hosts(receiver, columns)
     used = np.flatnonzero(hosts >= 0)
-    on_points = receiver.domain == "POINT"
-    vertices = used if on_points else np.asarray(receiver.corner_vertices)[used]
-    positions = receiver.vertices[vertices]
-    normals = _sound_normals(receiver.normals[used], surface.normals[hosts[used]])
-    first, point_of_used = _distinct(positions, normals)
-    origins = _origins(positions[first], normals[first], surface, hosts[used[first]])
-    order = morton_order(origins)
+    hosts = hosts[used]
+    vertices = used if receiver.domain == "POINT" else np.asarray(receiver.corner_vertices)[used]
+    corners = np.ascontiguousarray(receiver.triangles)
+    normals = np.empty((3, len(used)), np.float32)
+    for part in _pieces(len(used)):
+        normals[:, part] = _unit_normals(
+            receiver, used[part], columns, corners.take(hosts[part], 0)
+        )
+    positions = np.ascontiguousarray(receiver.vertices, np.float32)
+    first, point_of_used = _distinct(positions, vertices, normals)
+    normals, origins = normals.take(first, 1), np.empty((3, len(first)), np.float32)
+    for part in _pieces(len(first)):
+        some = first[part]
+        its_corners = _corners(columns, corners.take(hosts[some], 0))
+        start = columns.take(vertices[some], axis=1)
+        origins[:, part] = _origins(start, normals[:, part].astype(np.float64), its_corners)
+    order = morton_order(origins.T)
     rank = np.empty(len(order), np.int32)
     rank[order] = np.arange(len(order), dtype=np.int32)
     element_points = np.full(len(receiver.normals), -1, np.int32)
     element_points[used] = rank[point_of_used]
     return Points(
-        origins[order].astype(np.float32), normals[first][order].astype(np.float32), element_points
+        np.ascontiguousarray(origins.take(order, 1).T),
+        np.ascontiguousarray(normals.take(order, 1).T),
+        element_points,
     )
 
 
-def _hosts(receiver: Receiver, surface: Surface) -> Index:
-    """For each element the triangle with the widest angle there, -1 where there is none."""
-    sides = surface.corners[:, [1, 2, 0]] - surface.corners  # from each corner to the next
-    lengths = np.sqrt(np.einsum("fkc,fkc->fk", sides, sides))
-    lengths *= lengths[:, [2, 0, 1]]
-    cosine = np.einsum("fkc,fkc->fk", sides, -sides[:, [2, 0, 1]]) / np.where(lengths, lengths, 1)
-    cosine[~surface.solid] = np.inf
+def _pieces(count: int) -> list[slice]:
+    return [slice(i, min(i + PIECE, count)) for i in range(0, count, PIECE)]
+
+
+def _corners(columns: Float, triangles: npt.NDArray[np.int32]) -> list[Float]:
+    """The three corners (3, F) of ``triangles`` (F, 3) of vertices (3, V)."""
+    return [columns.take(triangles[:, k], axis=1) for k in range(3)]
+
+
+def _dot(a: Float, b: Float) -> Float:
+    """Products (F) of columns (3, F)."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def _cross(a: Float, b: Float) -> Float:
+    """Products (3, F) of columns (3, F)."""
+    return np.stack([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
+
+
+def _hosts(receiver: Receiver, columns: Float) -> Index:
+    """For each element the triangle with the widest angle there, the first of equals; -1 where
+    there is none."""
     elements = element_triangles(receiver)
-    widest = np.full(len(receiver.normals), np.inf)
-    np.minimum.at(widest, elements.reshape(-1), cosine.reshape(-1))
-    is_host = (cosine == widest[elements]) & surface.solid[:, None]
-    hosts = np.full(len(receiver.normals), -1, np.int64)
-    hosts[elements[is_host]] = np.nonzero(is_host)[0]
-    return hosts
+    widest = np.full(len(receiver.normals), NO_HOST)
+    for part in _pieces(len(elements)):
+        a, b, c = _corners(columns, np.asarray(receiver.triangles[part]))
+        sides = (b - a, c - b, a - c)
+        square = [_dot(side, side) for side in sides]
+        solid = _cross(sides[0], sides[1]).any(axis=0)
+        number = np.arange(part.start, part.stop)
+        for k in range(3):
+            along = -_dot(sides[k], sides[k - 1])
+            with np.errstate(invalid="ignore", divide="ignore"):
+                cosine = along * np.abs(along) / (square[k] * square[k - 1])  # squared, its sign
+            step = ((np.where(solid, cosine, 0) + 1) * ANGLE_STEPS).astype(np.int64)
+            keys = np.where(solid, step << 32 | number, NO_HOST)
+            np.minimum.at(widest, elements[part, k], keys)
+    return np.where(widest == NO_HOST, -1, widest & 0xFFFFFFFF)
 
 
-def _sound_normals(normals: npt.NDArray[np.float32], geometric: Float) -> Float:
-    """Unit normals; the geometric one where the shading normal is none."""
-    lengths = np.linalg.norm(normals.astype(np.float64), axis=1, keepdims=True)
-    sound = np.isfinite(lengths) & (lengths > 1e-6)
-    return np.where(sound, normals / np.where(sound, lengths, 1), geometric)
-
-
-def _distinct(positions: npt.NDArray[np.float32], normals: Float) -> tuple[Index, Index]:
-    """First occurrences (P,) of distinct (position, normal), and each row's place among them."""
-    steps = np.rint(normals * NORMAL_STEPS).astype(np.int32)
-    keys = np.concatenate(
-        [steps, (positions.astype(np.float32) + np.float32(0)).view(np.int32)], axis=1
-    )
-    mixed = (keys.astype(np.uint64) * MIXERS).sum(axis=1, dtype=np.uint64)
-    order = np.argsort(mixed, kind="stable")  # equal keys stand together, which is all it takes
-    is_new = np.ones(len(keys), bool)
-    is_new[1:] = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)
-    place = np.empty(len(keys), np.int64)
-    place[order] = np.cumsum(is_new) - 1
-    return order[is_new], place
-
-
-def _origins(
-    positions: npt.NDArray[np.float32], normals: Float, surface: Surface, hosts: Index
+def _unit_normals(
+    receiver: Receiver, elements: Index, columns: Float, triangles: npt.NDArray[np.int32]
 ) -> Float:
-    """Positions (P, 3) moved into their hosts, up to the tangent plane and off the surface."""
-    start = positions.astype(np.float64)
-    corners = surface.corners[hosts]
-    inward = corners.mean(axis=1) - start
-    bias = surface_bias(corners)
-    distance = np.linalg.norm(inward, axis=1, keepdims=True)
-    share = np.clip(4 * bias / np.maximum(distance, 1e-300), INWARD, 0.5)
-    inside = start + share * inward
-    return inside + lift(inside, start, normals) + bias * surface.normals[hosts]
+    """Unit shading normals (3, E) of ``elements``; where one has none, that of its host of
+    ``triangles`` (E, 3)."""
+    normals = np.asarray(receiver.normals)[elements].T.astype(np.float64)
+    lengths = np.sqrt(_dot(normals, normals))
+    with np.errstate(invalid="ignore"):
+        normals /= np.where(lengths > 1e-6, lengths, 1)
+    missing = np.flatnonzero(~((lengths > 1e-6) & np.isfinite(lengths)))
+    if len(missing):
+        normals[:, missing] = _geometric_normals(_corners(columns, triangles[missing]))
+    return normals
+
+
+def _geometric_normals(corners: list[Float]) -> Float:
+    """Unit normals (3, F) of triangles with an area."""
+    cross = _cross(corners[1] - corners[0], corners[2] - corners[0])
+    return np.asarray(cross / np.sqrt(_dot(cross, cross)))
+
+
+def _distinct(
+    positions: npt.NDArray[np.float32], vertices: Index, normals: npt.NDArray[np.float32]
+) -> tuple[Index, Index]:
+    """First occurrences (P,) of distinct (position of a vertex, normal), and each one's place among
+    them."""
+    keys = np.empty((3, len(vertices)), np.uint64)
+    for part in _pieces(len(vertices)):
+        bits = (positions.take(vertices[part], 0) + np.float32(0)).view(np.uint32)  # 0 is not -0
+        steps = np.rint(normals[:, part] * NORMAL_STEPS).astype(np.int64).astype(np.uint64)
+        keys[0, part] = bits[:, 0].astype(np.uint64) << np.uint64(32) | bits[:, 1]
+        keys[1, part] = bits[:, 2].astype(np.uint64) << np.uint64(32) | steps[0] & LOW_BITS
+        keys[2, part] = steps[1] << np.uint64(32) | steps[2] & LOW_BITS
+    mixed = np.zeros(len(vertices), np.uint64)
+    for key in keys:  # as splitmix64 does: a sign is a number's highest bit, which must spread
+        mixed = (mixed ^ key) * MIXERS[0]
+        mixed = (mixed ^ (mixed >> np.uint64(31))) * MIXERS[1]
+        mixed ^= mixed >> np.uint64(29)
+    order = np.argsort(mixed)  # equal keys stand together, which is all it takes
+    is_new = np.ones(len(order), bool)
+    is_new[1:] = np.diff(mixed[order]) != 0
+    for key in keys:  # what mixes alike may still differ
+        is_new[1:] |= np.diff(key[order]) != 0
+    starts = np.flatnonzero(is_new)
+    first = np.minimum.reduceat(order, starts) if len(starts) else starts
+    is_first = np.zeros(len(order), bool)
+    is_first[first] = True
+    place = np.empty(len(order), np.int64)
+    place[order] = (np.cumsum(is_first) - 1)[first].take(np.cumsum(is_new) - 1)
+    return np.flatnonzero(is_first), place
+
+
+def _origins(start: Float, normals: Float, corners: list[Float]) -> Float:
+    """Vertices (3, P) moved into their hosts, up to the tangent plane and off the surface."""
+    inward = (corners[0] + corners[1] + corners[2]) / 3 - start
+    largest = np.maximum.reduce([np.abs(corner).max(axis=0) for corner in corners])
+    bias = np.maximum(BIAS * largest, 1e-30)
+    distance = np.sqrt(_dot(inward, inward))
+    inward *= np.clip(4 * bias / np.maximum(distance, 1e-300), INWARD, 0.5)
+    depth = np.minimum(_dot(inward, normals), 0)
+    return np.asarray(start + inward - depth * normals + bias * _geometric_normals(corners))
 
 
 def lift(inside: Float, vertices: Float, normals: Float) -> Float:
@@ -146,25 +218,35 @@ def surface_bias(corners: Float) -> Float:
     return np.asarray(np.maximum(BIAS * largest, 1e-30)[:, None])
 
 
-def morton_order(positions: Float) -> Index:
-    """The order of ``positions`` (P, 3) along a Z curve: neighbours trace the same triangles."""
-    if not len(positions):
+def morton_order(positions: npt.NDArray[np.floating[Any]]) -> Index:
+    """The order of ``positions`` (P, 3) along a Z curve: neighbours trace the same triangles.
+
+    Code and place are sorted as one number, of which the place takes as many bits as it needs.
+    """
+    count = len(positions)
+    if not count:
         return np.zeros(0, np.int64)
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    extent = max(float((high - low).max()), 1e-300)
-    cells = ((positions - low) / extent * (2**20 - 1)).astype(np.uint64)
-    code = sum(_spread(cells[:, axis]) << np.uint64(axis) for axis in range(3))
-    return np.argsort(code, kind="stable")
+    place_bits = max(1, count.bit_length())
+    axis_bits = min(MORTON_BITS, (64 - place_bits) // 3)
+    spread = _spread(np.arange(1 << axis_bits, dtype=np.uint64))
+    low = positions.min(axis=0)
+    extent = max(float((positions.max(axis=0) - low).max()), 1e-300)
+    code = np.zeros(count, np.uint64)
+    for axis in range(3):
+        cells = (positions[:, axis] - low[axis]) * (((1 << axis_bits) - 1) / extent)
+        code |= spread[cells.astype(np.int32)] << np.uint64(axis)
+    code = code << np.uint64(place_bits) | np.arange(count, dtype=np.uint64)
+    code.sort()
+    return (code & np.uint64((1 << place_bits) - 1)).astype(np.int64)
 
 
 def _spread(values: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """The 21 low bits with two zero bits after each."""
+    """The 16 low bits with two zero bits after each."""
     for shift, mask in (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
+        (16, 0xFF0000FF),
+        (8, 0xF00F00F00F),
+        (4, 0xC30C30C30C3),
+        (2, 0x249249249249),
     ):
         values = (values | (values << np.uint64(shift))) & np.uint64(mask)
     return values

@@ -97,6 +97,44 @@ def test_a_smooth_convex_mesh_does_not_shadow_itself():
     np.testing.assert_allclose(trace(where, sky), expected, atol=1e-5)
 
 
+def test_a_point_lies_in_the_triangle_with_the_widest_angle():
+    vertices = np.array([[0.0, 0, 0], [4, 0, 0], [4, 1, 0], [-4, 3, 0]])
+    receiver = shapes.receiver(vertices, [[0, 1, 2], [0, 2, 3]], np.tile([0.0, 0, 1], (4, 1)))
+    where = points.distinct_points(receiver)
+    x, y, _ = where.origins[where.element_points[0]]
+    assert y > x / 4  # above the edge from vertex 0 to vertex 2, in the second triangle
+
+
+@pytest.mark.parametrize("domain", ["POINT", "CORNER"])
+def test_pieces_change_nothing(domain, monkeypatch):
+    vertices, triangles, normals = shapes.sphere(24, 48)
+    receiver = shapes.receiver(vertices, triangles, normals if domain == "POINT" else None)
+    whole = points.distinct_points(receiver)
+    monkeypatch.setattr(points, "PIECE", 7)
+    parts = points.distinct_points(receiver)
+    for name in ("origins", "normals", "element_points"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(parts, name))
+
+
+def test_what_differs_in_two_signs_is_not_the_same():
+    """A number's sign is its highest bit: what is lost first where keys are mixed."""
+    corner = np.array([[1.0, 1, 1], [2, 1, 1], [1, 2, 1]])
+    signs = np.array(np.meshgrid(*[[1, -1]] * 3)).reshape(3, -1).T
+    vertices = (corner[None] * signs[:, None]).reshape(-1, 3)
+    vertices = np.concatenate([vertices, vertices])  # every one twice
+    where = points.distinct_points(
+        shapes.receiver(vertices, np.arange(48).reshape(-1, 3), vertices / 2)
+    )
+    assert len(where.origins) == 24
+    np.testing.assert_array_equal(where.element_points[:24], where.element_points[24:])
+
+
+def test_zero_has_no_sign():
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-0.0, 0, -0.0], [1, 0, 0], [0, 1, 0]])
+    receiver = shapes.receiver(vertices, [[0, 1, 2], [3, 4, 5]], np.tile([0.0, 0, 1], (6, 1)))
+    assert len(points.distinct_points(receiver).origins) == 3
+
+
 def test_morton_order_keeps_neighbours_together():
     grid = np.stack(np.meshgrid(*[np.arange(16.0)] * 3), -1).reshape(-1, 3)
     shuffled = grid[np.random.default_rng(0).permutation(len(grid))]
