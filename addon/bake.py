@@ -17,6 +17,7 @@ from . import (
     attributes,
     carrier,
     engine,
+    figures,
     light_state,
     live_light,
     scene,
@@ -72,7 +73,7 @@ def bake(
         with world_file.made(hdri) as its_world:
             _write(scene_name, results, stamps, state)
         bpy.data.scenes[scene_name].world = its_world
-    _take_as_baked(scene_name, state, object_names)
+    notes += map(figures.another_light, _take_as_baked(scene_name, state, object_names))
     return {**results.report, "notes": notes}
 
 
@@ -194,7 +195,7 @@ def _with_what_is_shown(
     """``receiver`` with the transfer that it shows, and one residual: all that it shows besides,
     under the light of ``state``."""
     values = attributes.read(obj, mark)
-    if state is None or not (mark.packing.turns or mark.packing.lights):
+    if state is None or not mark.beyond_transfer:
         return replace(receiver, transfer=values.transfer)
     terms = light_state.terms(state, mark.packing)
     beyond = residual.beyond(values, terms, stamp.share(obj)).astype(np.float32)
@@ -254,7 +255,7 @@ def _figures(
         "layout": layout.slots,
         "job_hash": report["job_hash"],
         "points": entry["points"],
-        "rays": entry.get("rays_per_point", report["settings"]["rays"]),
+        "rays": round(entry.get("rays_per_point", report["settings"]["rays"])),
         "mrays_per_second": entry["mrays_per_second"],
         "estimated_error": entry["estimated_error"],
         "interpolation_error": entry.get("interpolation_error"),
@@ -299,18 +300,22 @@ def _light_state(light: WorldLight, results: jobs.Results, follows: bool) -> lig
 
 def _take_as_baked(
     scene_name: str, state: light_state.LightState, object_names: Sequence[str]
-) -> None:
+) -> list[str]:
     """Make ``state`` the light that residuals are weighed against, and show it.  Of what was baked
-    under another light only the transfer is shown, unless that one was only stronger or weaker."""
-    owner = bpy.data.scenes[scene_name]
+    under another light only the transfer is shown, unless that one was only stronger or weaker;
+    returns the names of those that lose their residual by it."""
+    owner, lost = bpy.data.scenes[scene_name], []
     before = light_state.read(owner)
-    if before is not None:
-        for obj in stamp.baked_objects(owner):
-            mark = stamp.read(obj)
-            if obj.name not in object_names and mark is not None:
-                kept = light_state.share(before, state, with_peaks=mark.packing.lights > 0)
-                stamp.set_share(obj, kept * stamp.share(obj))
+    for obj in stamp.baked_objects(owner) if before is not None else ():
+        mark = stamp.read(obj)
+        if obj.name in object_names or mark is None or not stamp.share(obj):
+            continue
+        kept = light_state.share(before, state, with_peaks=mark.packing.lights > 0)
+        stamp.set_share(obj, kept * stamp.share(obj))
+        if not kept and mark.beyond_transfer:
+            lost.append(obj.name)
     _set_light(scene_name, state)
+    return lost
 
 
 def _set_light(scene_name: str, state: light_state.LightState) -> None:

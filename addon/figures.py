@@ -1,8 +1,11 @@
 """Numbers in an artist's words, the same in panel, status bar and command line."""
 
+from math import sqrt
+
 from .prt.job import Progress
 from .stamp import Stamp
 
+COARSE = 0.02  # of error between the vertices is worth a word
 PHASES = {
     "scene": "Reading the scene",
     "start": "Starting the engine",
@@ -69,15 +72,67 @@ def summary_lines(stamps: list[Stamp]) -> list[str]:
 
 
 def advice(stamp: Stamp) -> str | None:
-    """What would make a bake better, when it was verified and more rays would not."""
-    noise, error = stamp.estimated_error, stamp.measured_error
-    if noise is None or error is None or error < max(0.05, 3 * noise):
+    """What would make a bake better where more rays would not."""
+    noise, mesh = _noise(stamp), _mesh_error(stamp)
+    if noise is None or mesh is None or mesh < max(COARSE, 1.5 * noise):
         return None
-    return "Most of this error lies between the vertices: subdivide the mesh where shadows fall"
+    return f"{percent(mesh)} because the mesh is coarse: subdivide it where shadows fall"
+
+
+def another_light(name: str) -> str:
+    """What to say of a bake whose residual belongs to another light than the last bake's."""
+    return (
+        f"{name!r} was baked under another world and shows soft shadows alone: "
+        "bake it again for sharp ones"
+    )
 
 
 def _errors(stamps: list[Stamp]) -> list[str]:
-    estimated = [one.estimated_error for one in stamps if one.estimated_error is not None]
-    measured = [one.measured_error for one in stamps if one.measured_error is not None]
-    lines = [f"{percent(max(estimated))} noise, estimated"] if estimated else []
-    return lines + ([f"{percent(max(measured))} error measured"] if measured else [])
+    return [*_transfer_errors(stamps), *_light_errors(stamps)]
+
+
+def _transfer_errors(stamps: list[Stamp]) -> list[str]:
+    """Noise, and what the mesh loses between its vertices: estimated, and measured."""
+    noise, between = _worst(stamps, "estimated_error"), _worst(stamps, "interpolation_error")
+    lines = []
+    if noise is not None:
+        tail = f" and {percent(between)} between the vertices" if between is not None else ""
+        lines.append(f"{percent(noise)} noise{tail}, estimated")
+    measured, at_points = _worst(stamps, "measured_error"), _worst(stamps, "measured_at_points")
+    if measured is not None:
+        tail = f" ({percent(at_points)} at the vertices)" if at_points is not None else ""
+        lines.append(f"{percent(measured)} error measured{tail}")
+    return lines
+
+
+def _light_errors(stamps: list[Stamp]) -> list[str]:
+    """Of the light that leaves the surface, and under which world."""
+    plain, light = _worst(stamps, "plain_error"), _worst(stamps, "light_error")
+    lines = []
+    if plain is not None:
+        turns = max(stamp.packing.turns for stamp in stamps)
+        where = f"{turns} turns of the baked world" if turns > 1 else "the baked world"
+        lines.append(f"exact light at {where}, {percent(plain)} off under another one")
+    if light is not None:
+        there = all(stamp.light_at_bake for stamp in stamps)
+        where = "at the baked world" if there else "under another world than the baked one"
+        lines.append(f"{percent(light)} error of the light, measured {where}")
+    return lines
+
+
+def _worst(stamps: list[Stamp], name: str) -> float | None:
+    """The largest of one error, None where no bake knows it."""
+    known = [getattr(stamp, name) for stamp in stamps if getattr(stamp, name) is not None]
+    return max(known, default=None)
+
+
+def _noise(stamp: Stamp) -> float | None:
+    return stamp.estimated_error if stamp.measured_at_points is None else stamp.measured_at_points
+
+
+def _mesh_error(stamp: Stamp) -> float | None:
+    """What lies between the vertices: measured where that was done, else estimated."""
+    noise = _noise(stamp)
+    if stamp.measured_error is None or noise is None:
+        return stamp.interpolation_error
+    return sqrt(max(0.0, stamp.measured_error**2 - noise**2))

@@ -19,6 +19,17 @@ from .prt.errors import BakeError
 from .prt.job import Progress, Settings
 
 Report = dict[str, Any]
+SETTINGS = (
+    "order",
+    "rays",
+    "tolerance",
+    "residual",
+    "turns",
+    "peaks",
+    "final_light",
+    "seed",
+    "threads",
+)
 
 
 def open_blend(path: Path) -> None:
@@ -71,7 +82,8 @@ def _run(asked: Options, check: Callable[[], None]) -> None:
         check()
     for name in names:
         for stamp in selection.stamps([name]):
-            sys.stdout.write(f"{name}: {', '.join(figures.stamp_lines(stamp))}\n")
+            lines = [*figures.stamp_lines(stamp), *filter(None, [figures.advice(stamp)])]
+            sys.stdout.write(f"{name}: {', '.join(lines)}\n")
 
 
 def _lamps(current: bpy.types.Scene) -> list[str]:
@@ -96,8 +108,14 @@ def _object_names(current: bpy.types.Scene, asked: list[str]) -> list[str]:
 
 def _settings(current: bpy.types.Scene, asked: Options) -> Settings:
     """The artist's settings in the .blend, with what the options say instead."""
-    given = {name: getattr(asked, name) for name in ("order", "rays", "seed", "threads")}
+    given = {name: getattr(asked, name) for name in SETTINGS}
     chosen = {name: value for name, value in given.items() if value is not None}
+    if "rays" in chosen:
+        chosen["tolerance"] = 0.0
+    if "turns" in chosen:
+        chosen["residual"] = True
+    if not asked.cache:
+        chosen["cache"] = ""
     return replace(properties.settings(current, asked.verify), **chosen)
 
 

@@ -9,6 +9,7 @@ from typing import NoReturn
 from .prt.errors import BakeError
 
 LATER = "(not available yet)"
+SMALLEST_ERROR, LARGEST_ERROR = 0.001, 0.5
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,12 @@ class Options:
     objects: list[str]
     order: int | None
     rays: int | None
+    tolerance: float | None
+    residual: bool | None
+    turns: int | None
+    peaks: int | None
+    final_light: bool | None
+    cache: bool
     seed: int | None
     threads: int | None
     world: str | None
@@ -94,15 +101,39 @@ def _add_how(parser: _Parser) -> None:
     add("--texel-density", type=_positive, metavar="D", help=f"texels a metre {LATER}")
     add("--order", type=_whole(2, 5), metavar="N", help="bands of the light, 2 to 5")
     add("--bounces", type=_whole(0, 16), default=0, metavar="K", help=f"0: shadows only {LATER}")
-    add("--no-residual", action="store_true", help="leave out what is exact at the baked light")
-    add("--peaks", type=_whole(0, 4), default=0, metavar="N", help=f"suns cut out {LATER}")
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument("--rays", type=_whole(16, 65536), metavar="N", help="rays a point")
     effort.add_argument(
-        "--tolerance", type=_positive, metavar="E", help=f"rays to this error {LATER}"
+        "--tolerance", type=_share, metavar="E", help="as many as leave this noise: 0.01 or 1%%"
     )
+    _add_exact(parser)
     add("--seed", type=_whole(0, 2**31 - 1), metavar="N", help="same seed, same result")
     add("--threads", type=_whole(0, 1024), metavar="N", help="0: every core")
+    add("--no-cache", action="store_false", dest="cache", help="trace all again, keep nothing")
+
+
+def _add_exact(parser: _Parser) -> None:
+    """What is stored beyond the transfer.  Not given is None: then the .blend's settings hold."""
+    exact = parser.add_mutually_exclusive_group()
+    exact.add_argument(
+        "--no-residual",
+        action="store_const",
+        const=False,
+        dest="residual",
+        help="leave out what is exact at the baked world",
+    )
+    exact.add_argument(
+        "--turns", type=_whole(1, 24), metavar="N", help="exact at N turns of the world about Z"
+    )
+    parser.add_argument(
+        "--peaks", type=_whole(0, 4), metavar="N", help="suns and lamps that may be cut out"
+    )
+    parser.add_argument(
+        "--final-light",
+        action="store_const",
+        const=True,
+        help="the world stays: leave out what it does not show",
+    )
 
 
 def _add_where(parser: _Parser) -> None:
@@ -120,8 +151,6 @@ def _refuse_later(found: argparse.Namespace) -> None:
         "--resolution": found.resolution is not None,
         "--texel-density": found.texel_density is not None,
         f"--bounces {found.bounces}": found.bounces > 0,
-        f"--peaks {found.peaks}": found.peaks > 0,
-        "--tolerance": found.tolerance is not None,
     }
     for option, wanted in asked.items():
         if wanted:
@@ -140,6 +169,16 @@ def _whole(smallest: int, largest: int) -> Callable[[str], int]:
         return value
 
     return number
+
+
+def _share(text: str) -> float:
+    """A relative error, as a fraction or with a per cent sign."""
+    number = text.strip()
+    value = _positive(number.removesuffix("%")) / (100 if number.endswith("%") else 1)
+    if not SMALLEST_ERROR <= value <= LARGEST_ERROR:
+        message = f"{text!r} is no error from 0.1% to 50%"
+        raise argparse.ArgumentTypeError(message)
+    return value
 
 
 def _positive(text: str) -> float:

@@ -2,6 +2,7 @@
 
 import bpy
 
+from . import cache_folder
 from .prt.job import Settings
 
 VERIFY_POINTS = 256  # of each object, traced again by brute force: enough to tell 1 % from 1.1 %
@@ -17,6 +18,59 @@ class PRT_PG_settings(bpy.types.PropertyGroup):
         default=3,
         min=2,
         max=5,
+        options=set(),
+    )
+    quality: bpy.props.EnumProperty(
+        name="Quality by",
+        description="What decides how many rays are traced",
+        items=(
+            ("RAYS", "Rays", "The same number of rays from every point"),
+            ("TOLERANCE", "Error", "As many rays as the noise that you allow takes"),
+        ),
+        default="RAYS",
+        options=set(),
+    )
+    tolerance: bpy.props.FloatProperty(
+        name="Error",
+        description="Noise that may be left: half of it takes three times as long",
+        default=1.0,
+        min=0.1,
+        max=50.0,
+        soft_min=0.5,
+        soft_max=10.0,
+        precision=1,
+        subtype="PERCENTAGE",
+        options=set(),
+    )
+    residual: bpy.props.BoolProperty(
+        name="Exact at This World",
+        description="Bake what the order leaves out too, so that the sharp shadows of this very "
+        "world are there; they fade as you turn it away",
+        default=True,
+        options=set(),
+    )
+    turns: bpy.props.IntProperty(
+        name="Turns",
+        description="Exact at this many turns of the world about Z, for turntables: 12 keep sharp "
+        "shadows all the way round, and take 9 vertex attributes more",
+        default=1,
+        min=1,
+        max=24,
+        options=set(),
+    )
+    peaks: bpy.props.IntProperty(
+        name="Peaks",
+        description="How many suns and lamps of the HDRI may be cut out of it and keep shadows of "
+        "their own, where that is worth it; a glTF viewer can light them itself",
+        default=0,
+        min=0,
+        max=4,
+        options=set(),
+    )
+    final_light: bpy.props.BoolProperty(
+        name="Final Light",
+        description="This world will not be exchanged: what it does not show is not stored",
+        default=False,
         options=set(),
     )
     rays: bpy.props.IntProperty(
@@ -53,6 +107,12 @@ def settings(scene: bpy.types.Scene, verify: bool = False) -> Settings:
     return Settings(
         order=chosen.order,
         rays=chosen.rays,
+        tolerance=chosen.tolerance / 100 if chosen.quality == "TOLERANCE" else 0.0,
+        residual=chosen.residual,
+        turns=chosen.turns,
+        peaks=chosen.peaks,
+        final_light=chosen.final_light,
+        cache=cache_folder.path(),
         seed=chosen.seed,
         threads=chosen.threads,
         verify_points=VERIFY_POINTS if verify else 0,

@@ -65,6 +65,11 @@ class Stamp:
         letters = Counter(name[:1] for name in self.layout)
         return Layout(self.order, self.channels, letters["R"] // 3, letters["S"])
 
+    @property
+    def beyond_transfer(self) -> bool:
+        """Whether it stores more than the transfer, which belongs to one light."""
+        return self.packing.turns > 0 or self.packing.lights > 0
+
 
 def read(obj: bpy.types.Object) -> Stamp | None:
     """The stamp of ``obj``; None where it was never baked, or by a version that we don't know."""

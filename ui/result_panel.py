@@ -9,6 +9,7 @@ from .panel import CROWD, SidebarPanel
 MUST_UPDATE = "This world cannot be followed: press Update Light after changing it"
 NO_LAMPS = "Lamps are not in the bake: it holds the light of the world alone"
 CHANGED = "changed since the bake, which is not shown: bake again"
+ANOTHER_LIGHT = "were baked under another world and show soft shadows alone: bake them again"
 EXPORT = "The bakes go with File > Export > glTF 2.0, in any format"
 
 
@@ -86,7 +87,21 @@ def draw_figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         column.label(text=line[0].upper() + line[1:])
     if single and (advice := figures.advice(stamps[0])):
         wrap.box(layout, context, "INFO", advice)
+    draw_another_light(layout, context, objects)
     draw_stale(layout, context, objects)
+
+
+def draw_another_light(
+    layout: bpy.types.UILayout, context: bpy.types.Context, objects: list[bpy.types.Object]
+) -> None:
+    """Which bakes have a residual that is not shown."""
+    without = [obj for obj in objects if obj.get(stamp.SWITCH) == 1.0 and not stamp.share(obj)]
+    marked = ((obj, stamp.read(obj)) for obj in without)
+    names = [obj.name for obj, mark in marked if mark and mark.beyond_transfer]
+    if len(names) == 1:
+        wrap.box(layout, context, "INFO", figures.another_light(names[0]))
+    elif names:
+        wrap.box(layout, context, "INFO", f"{len(names)} objects {ANOTHER_LIGHT}")
 
 
 def draw_stale(

@@ -25,7 +25,11 @@ def registered() -> Iterator[None]:
 
 
 @pytest.fixture
-def scene(registered: None) -> bpy.types.Scene:
-    """The scene of an empty file, without a world."""
+def scene(
+    registered: None, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> bpy.types.Scene:
+    """The scene of an empty file, without a world; nothing that was traced is kept from another
+    test."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     return bpy.context.scene

@@ -68,12 +68,44 @@ def test_it_bakes_what_is_selected_as_the_blend_says(scene, asked):
 
 def test_options_go_before_the_blend(scene, asked):
     scene.prt.rays = 99
+    scene.prt.quality, scene.prt.peaks = "TOLERANCE", 3
     line = "--order 5 --rays 32 --seed 3 --threads 1 --verify --no-residual --carrier vertex"
-    assert cli.command([*line.split(), "--bounces", "0", "--peaks", "0"]) == 0
+    assert cli.command([*line.split(), "--bounces", "0", "--peaks", "0", "--final-light"]) == 0
     settings = asked[0][2]
     assert (settings.order, settings.rays, settings.seed, settings.threads) == (5, 32, 3, 1)
+    assert (settings.tolerance, settings.residual, settings.peaks) == (0, False, 0)
+    assert settings.final_light
     assert settings.verify_points > 0
     assert scene.prt.rays == 99, "the .blend's own settings stay"
+
+
+def test_what_is_not_given_is_as_the_blend_says(scene, asked):
+    chosen = scene.prt
+    chosen.quality, chosen.tolerance, chosen.turns, chosen.peaks = "TOLERANCE", 2.0, 4, 1
+    chosen.final_light = True
+    assert cli.command([]) == 0
+    settings = asked[0][2]
+    assert settings.tolerance == pytest.approx(0.02)
+    assert (settings.residual, settings.turns, settings.peaks) == (True, 4, 1)
+    assert settings.final_light
+
+
+@pytest.mark.parametrize("words", ["0.01", "1%", "1 %"])
+def test_an_error_is_a_fraction_or_a_percentage(asked, words):
+    assert cli.command(["--tolerance", words]) == 0
+    assert asked[0][2].tolerance == pytest.approx(0.01)
+
+
+def test_turns_ask_for_the_residual(scene, asked):
+    scene.prt.residual = False
+    assert cli.command(["--turns", "12"]) == 0
+    assert (asked[0][2].residual, asked[0][2].turns) == (True, 12)
+
+
+def test_nothing_is_kept_when_nothing_shall_be(scene, asked):
+    assert cli.command([]) == 0
+    assert cli.command(["--no-cache"]) == 0
+    assert [bool(call[2].cache) for call in asked] == [True, False]
 
 
 def test_objects_are_baked_as_named_each_once(asked):
@@ -102,8 +134,6 @@ def test_the_world_is_found_from_where_the_command_is_given(asked, monkeypatch, 
         "--resolution 1024",
         "--texel-density 4.5",
         "--bounces 2",
-        "--peaks 1",
-        "--tolerance 0.01",
     ],
 )
 def test_what_is_still_to_come_is_refused(capsys, asked, line):
@@ -124,6 +154,13 @@ def test_what_is_still_to_come_is_refused(capsys, asked, line):
         "--threads -1",
         "--tolerance 0",
         "--tolerance nan",
+        "--tolerance 60%",
+        "--tolerance 0.0001",
+        "--tolerance one%",
+        "--peaks 5",
+        "--turns 0",
+        "--turns 25",
+        "--turns 2 --no-residual",
         "--carrier cloud",
         "--object",
         "--nonsense",
@@ -140,7 +177,7 @@ def test_help_lists_every_option_of_the_design(capsys):
     assert cli.command(["--help"]) == 0
     printed = capsys.readouterr().out
     line = "object world carrier resolution texel-density order bounces no-residual peaks rays"
-    line += " tolerance seed threads save gltf report verify"
+    line += " tolerance turns final-light no-cache seed threads save gltf report verify"
     assert all(f"--{option}" in printed for option in line.split())
 
 

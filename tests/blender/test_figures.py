@@ -1,10 +1,17 @@
 """Numbers in an artist's words."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import pytest
 from prt_baker.addon import figures
 from prt_baker.addon.prt.job import Progress
+from prt_baker.addon.prt.layout import Layout
+from stamped import MARK
+
+
+def stamped(**values):
+    """A stamp with ``values``, its errors unknown."""
+    return replace(MARK, **{"estimated_error": None, **values})
 
 
 @pytest.mark.parametrize(
@@ -38,12 +45,45 @@ def test_an_object_is_not_one_objects():
     [(0.01, 0.36, True), (0.01, 0.02, False), (0.3, 0.4, False), (0.01, None, False)],
 )
 def test_a_coarse_mesh_is_told_from_too_few_rays(noise, error, coarse):
-    mark = SimpleNamespace(estimated_error=noise, measured_error=error)
+    mark = stamped(estimated_error=noise, measured_error=error)
     assert (figures.advice(mark) is not None) == coarse
 
 
+def test_a_mesh_that_is_estimated_to_be_coarse_is_told_without_verifying():
+    mark = stamped(estimated_error=0.01, interpolation_error=0.04)
+    words = "4.0 % because the mesh is coarse: subdivide it where shadows fall"
+    assert figures.advice(mark) == words
+    assert figures.stamp_lines(mark)[2:] == [
+        "1.0 % noise and 4.0 % between the vertices, estimated"
+    ]
+
+
+def test_what_was_measured_is_told_apart_from_what_is_estimated():
+    mark = stamped(estimated_error=0.01, measured_error=0.05, measured_at_points=0.012)
+    assert figures.stamp_lines(mark)[2:] == [
+        "1.0 % noise, estimated",
+        "5.0 % error measured (1.2 % at the vertices)",
+    ]
+    assert figures.advice(mark).startswith("4.9 % because")
+
+
+@pytest.mark.parametrize(
+    ("turns", "there", "words"),
+    [
+        (1, True, "exact light at the baked world, 26 % off under another one"),
+        (12, False, "exact light at 12 turns of the baked world, 26 % off under another one"),
+    ],
+)
+def test_the_error_of_the_light_says_under_which_world(turns, there, words):
+    layout = Layout(3, turns=turns).slots
+    mark = stamped(layout=layout, plain_error=0.256, light_error=0.02, light_at_bake=there)
+    where = "at the baked world" if there else "under another world than the baked one"
+    lines = [words, f"2.0 % error of the light, measured {where}"]
+    assert figures.stamp_lines(mark)[2:] == lines
+    assert figures.summary_lines([mark, stamped()])[2:] == lines
+
+
 def test_the_speed_of_several_bakes_is_all_rays_over_all_seconds():
-    common = {"points": 1_000_000, "rays": 100, "estimated_error": None, "measured_error": None}
-    slow = SimpleNamespace(**common, mrays_per_second=1.0)
-    fast = SimpleNamespace(**common, mrays_per_second=4.0)
+    slow = stamped(points=1_000_000, rays=100, mrays_per_second=1.0)
+    fast = stamped(points=1_000_000, rays=100, mrays_per_second=4.0)
     assert figures.summary_lines([slow, fast])[1] == "200.0 Mrays, 1.6 Mrays/s"

@@ -2,7 +2,7 @@
 
 import bpy
 import pytest
-from prt_baker.addon import bake, light_state, run_state, stamp
+from prt_baker.addon import bake, cache_folder, light_state, run_state, stamp
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.job import Progress, Settings
 from stamped import put_bake
@@ -46,7 +46,7 @@ def test_bake_passes_the_settings(scene, cube, calls):
     scene.prt.order, scene.prt.rays, scene.prt.seed, scene.prt.threads = 4, 99, 7, 1
     put_bake(scene, cube)
     assert bpy.ops.prt.bake() == {"FINISHED"}
-    expected = Settings(order=4, rays=99, seed=7, threads=1)
+    expected = Settings(order=4, rays=99, seed=7, threads=1, cache=cache_folder.path())
     assert calls == [("bake", scene.name, ["Cube"], expected)]
 
 
@@ -121,7 +121,7 @@ def test_verify_and_remove_are_about_the_selected_bakes_else_all(scene, cube, ca
     other.select_set(False)
     bpy.ops.prt.verify()
     assert [sorted(call[2]) for call in calls] == [["Cube.001"], ["Cube", "Cube.001"]]
-    assert all(call[2].verify_points > 0 for call in calls)
+    assert all(call[3].verify_points > 0 for call in calls)
 
 
 def test_remove_bake_removes(scene, cube):
@@ -156,7 +156,8 @@ def test_a_bake_is_one_undo_step(scene, cube, monkeypatch):
 
 def test_only_settings_are_saved(scene):
     kept = {prop.identifier for prop in scene.prt.bl_rna.properties if not prop.is_readonly}
-    assert kept == {"name", "order", "rays", "seed", "threads"}
+    exact = {"residual", "turns", "peaks", "final_light"}
+    assert kept == {"name", "order", "quality", "rays", "tolerance", "seed", "threads"} | exact
 
 
 def test_a_file_saved_during_a_bake_knows_nothing_of_it(scene, cube, monkeypatch, tmp_path):

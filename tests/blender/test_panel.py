@@ -1,13 +1,15 @@
 """What the panels show, on a layout that only notes it."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import bpy
 import pytest
-from prt_baker.addon import light_state, live_light, run_state
+from prt_baker.addon import figures, light_state, live_light, run_state, stamp
 from prt_baker.addon.prt.job import Progress
+from prt_baker.addon.prt.layout import Layout
 from prt_baker.ui import panel, result_panel, settings_panel
-from stamped import put_bake
+from stamped import MARK, put_bake
 
 
 class Noting:
@@ -147,7 +149,30 @@ def test_the_settings_tell_what_an_order_costs(context):
     context.scene.prt.order = 5
     notes = drawn(settings_panel.PRT_PT_settings, context)
     assert notes[:2] == ["<order>", "7 of EEVEE's 14 attributes"]
-    assert notes[2:] == ["<rays>", "<seed>", "<threads>"]
+    assert notes[2:] == ["<quality>", "<rays>", "<seed>", "<threads>"]
+    context.scene.prt.quality = "TOLERANCE"
+    assert drawn(settings_panel.PRT_PT_settings, context)[3] == "<tolerance>"
+
+
+def test_the_settings_tell_what_turns_and_peaks_cost(context):
+    chosen = context.scene.prt
+    chosen.turns, chosen.peaks = 12, 4
+    assert "13 of EEVEE's 14 attributes" in drawn(settings_panel.PRT_PT_settings, context)
+    chosen.residual = False
+    assert "4 of EEVEE's 14 attributes" in drawn(settings_panel.PRT_PT_settings, context)
+    notes = drawn(settings_panel.PRT_PT_exact, context)
+    assert notes == ["<residual>", "<turns>", "<peaks>", "<final_light>"]
+
+
+def test_what_belongs_to_another_light_is_told(context):
+    cube = context.selected_objects[0]
+    put_bake(context.scene, cube)
+    stamp.write(cube, replace(MARK, layout=Layout(3, turns=1).slots))
+    stamp.set_share(cube, 0.0)
+    told = figures.another_light(cube.name)
+    assert told in drawn(result_panel.PRT_PT_result, context)
+    stamp.set_share(cube, 1.0)
+    assert told not in drawn(result_panel.PRT_PT_result, context)
 
 
 def test_sentences_wrap_at_the_sidebars_width(context):
