@@ -19,7 +19,7 @@ READERS = {
     "INT": ("value", 1, np.int32),
     "BOOLEAN": ("value", 1, np.bool_),
 }
-FARTHEST = 1e15  # metres; a float32 tracer squares the coordinates
+FARTHEST = 1e12  # metres; a float32 tracer multiplies three coordinates
 FLATTEST = 1e-7  # height of a triangle over its longest edge: float32 tells no more apart
 
 
@@ -77,7 +77,7 @@ def to_world(vertices: Array, matrix: Matrix) -> Array:
 
 def mirrors(matrix: Matrix) -> bool:
     """Whether ``matrix`` turns a mesh inside out."""
-    return bool(np.linalg.det(np.array(matrix)[:3, :3]) < 0)
+    return bool(np.linalg.det(np.array(matrix, np.float64)[:3, :3]) < 0)
 
 
 def outward(corners: Array, matrix: Matrix) -> Array:
@@ -88,8 +88,8 @@ def outward(corners: Array, matrix: Matrix) -> Array:
 def normals_to_world(normals: Array, matrix: Matrix) -> Array:
     """Local unit ``normals`` (N, 3) in world space, float32, unit, pointing out of mirrored meshes
     too.  By cofactors, which are the inverse transpose where there is one and exist where an axis
-    is scaled to nothing."""
-    x, y, z = np.array(matrix)[:3, :3].T
+    is scaled to nothing; in float64, because their squares leave float32 at a scale of 1e10."""
+    x, y, z = np.array(matrix, np.float64)[:3, :3].T
     cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)])
     turned = normals @ (-cofactors if mirrors(matrix) else cofactors)
     length = np.linalg.norm(turned, axis=1, keepdims=True)

@@ -6,13 +6,17 @@ import bmesh
 import bpy
 import numpy as np
 import OpenEXR
+import pytest
 from mathutils import Matrix
 from meshes import MIRRORED, SHEARED, ball, cube, mesh_of, place, receiver_of
 from prt_baker.addon import bake
 from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.job import Settings
 from prt_baker.addon.prt.transfer import relative_rms
 from worlds import environment, new_world
+
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
 FEW = Settings(rays=64, seed=5, threads=1, fit=False, residual=False)
 FULL = float(sh.basis([0.0, 0.0, 1.0], 1)[0])
@@ -80,6 +84,31 @@ def test_scale_and_place_change_nothing(scene, record_property):
         error = relative_rms(still_life(bpy.context.scene, matrix), expected)
         record_property("measured", error)
         assert error < 1e-3, name
+
+
+def test_the_largest_scene(scene, record_property):
+    """The same 4e11 across: the same, to 1e-3 (RMS). A cube of 2e12, beyond what float32 can
+    trace: refused in one sentence."""
+    expected = still_life(scene, Matrix())
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    error = relative_rms(still_life(bpy.context.scene, Matrix.Scale(1e11, 4)), expected)
+    record_property("measured", error)
+    assert error < 1e-3
+    beyond = place(cube(), matrix=Matrix.Scale(2e12, 4))
+    with pytest.raises(BakeError, match="too far away"):
+        baked(bpy.context.scene, beyond)
+
+
+def test_normals_at_every_scale(scene, record_property):
+    """Shading normals of a mirrored, unevenly scaled ball at scales 1e-12 to 1e11: those at scale
+    1, to 1e-6."""
+    mesh = ball()
+    expected = receiver_of(place(mesh, matrix=MIRRORED)).normals
+    for scale in (1e-12, 1e-10, 1e-4, 1e5, 1e10, 1e11):
+        got = receiver_of(place(mesh, matrix=MIRRORED @ Matrix.Scale(scale, 4))).normals
+        error = np.abs(got - expected).max()
+        record_property("measured", error)
+        assert error < 1e-6, scale
 
 
 def test_negative_and_sheared_scales(scene, record_property):

@@ -138,15 +138,58 @@ def far_and_small():
     return receiver(subject.vertices * 1e-4, triangles), vertices * 1e-4, triangles
 
 
-SCENES = [knot, ball_in_soup, sheet_in_soup, well, ring_between_needles, far_and_small]
+def pile():
+    """The middle one of three boxes that stand on each other, faces coincident."""
+    box, triangles = shapes.box(1.0, 2, inward=False)
+    boxes = [((box + np.array([0, 0, k])) @ turned().T, triangles) for k in (0, 1, 2)]
+    return receiver(*boxes[1]), *shapes.join(*boxes)
+
+
+def bent_sheet():
+    """A sheet with the slightest fold, its points seeing a little of each other."""
+    vertices, triangles = shapes.grid([-1, -1, 0], [2, 0, 0], [0, 2, 0], 6)
+    vertices[:, 2] = 1e-2 * np.abs(vertices[:, 0])
+    return receiver(vertices @ turned().T, triangles), vertices @ turned().T, triangles
+
+
+def dented_dome():
+    """A convex dome but for one vertex, pressed in a little."""
+    vertices, triangles = shapes.grid([-1, -1, 0], [2, 0, 0], [0, 2, 0], 4)
+    vertices[:, 2] = -0.1 * (vertices[:, :2] ** 2).sum(axis=1)
+    vertices[12, 2] -= 0.05
+    return receiver(vertices, triangles), vertices, triangles
+
+
+def just_above_the_horizon():
+    """A floor, and far away a ridge that rises above it by a hundredth of its distance."""
+    floor = shapes.grid([-1, -1, 0], [2, 0, 0], [0, 2, 0], 6)
+    ridge = shapes.grid([5, -9, -0.05], [0, 18, 0], [0, 0, 0.1], 3)
+    turn = turned()
+    vertices, triangles = shapes.join(floor, ridge)
+    return receiver(floor[0] @ turn.T, floor[1]), vertices @ turn.T, triangles
+
+
+SCENES = [
+    knot,
+    ball_in_soup,
+    sheet_in_soup,
+    well,
+    ring_between_needles,
+    far_and_small,
+    pile,
+    bent_sheet,
+    dented_dome,
+    just_above_the_horizon,
+]
 
 
 @pytest.mark.parametrize("order", [3, 5])
 @pytest.mark.parametrize("make", SCENES)
 def test_float32_and_float64_agree(make, order, cast, record_property):
-    """About 50 points among some hundred triangles (knot, soups, well, needles, scale 1e-4), orders
-    3 and 5, against an engine in float64 along the same rays: transfer to 1e-5 (RMS and
-    largest), no ray differs but those that graze an edge within 1e-6, at most 1 in 1,000."""
+    """About 50 points among some hundred triangles (knot, soups, well, needles, scale 1e-4,
+    coincident boxes, nearly flat and nearly convex sheets), orders 3 and 5, against an engine in
+    float64 along the same rays: transfer to 1e-5 (RMS and largest), no ray differs but those that
+    graze an edge within 1e-6, at most 1 in 1,000."""
     subject, vertices, triangles = make()
     where = points.distinct_points(subject)
     results = finished(run(job_of([subject], vertices, triangles, rays=RAYS, order=order)))
