@@ -65,13 +65,16 @@ def run(job: jobs.Job, folder: Path) -> Generator[jobs.Progress, None, jobs.Resu
     """Do ``job`` in an existing, empty ``folder``; its results are the generator's value.
 
     ``close()`` kills the child at once.  BakeError where the engine says what can be mended,
-    RuntimeError with its traceback where the fault is ours.
+    RuntimeError with its traceback where the fault is ours.  The child starts while the job is
+    still written, and waits for the end of its standard input.
     """
-    jobs.write(job, folder)
     process = _start(folder)
     try:
+        jobs.write(job, folder)
+        _close_pipe(process)
         yield from _watch(process, folder)
     finally:
+        _close_pipe(process)
         process.kill()
         process.wait()
     return jobs.read_results(folder)
@@ -93,12 +96,18 @@ def _start(folder: Path) -> subprocess.Popen[bytes]:
     with (folder / "stderr.txt").open("wb") as errors:
         return subprocess.Popen(
             command,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=errors,
             env={**os.environ, **ONE_BLAS_THREAD},
             creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
         )
+
+
+def _close_pipe(process: subprocess.Popen[bytes]) -> None:
+    """Nothing was written to it, so nothing can be lost where the child has gone already."""
+    assert process.stdin is not None
+    process.stdin.close()
 
 
 def _child_path() -> list[str]:

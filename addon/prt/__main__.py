@@ -1,5 +1,6 @@
 """The engine as a program: ``python -m prt JOB_FOLDER``.
 
+Where the job is not there yet, the end of the standard input says that it is.
 Writes ``progress.jsonl`` and, when all is done, ``results``.  Exit codes: 0 done, 2 a BakeError,
 1 a fault of ours; both leave their text as the last line of the progress file, if there is room.
 """
@@ -45,6 +46,8 @@ def _guarded(folder: Path, progress: TextIO) -> int:
 
 
 def _run(folder: Path, progress: TextIO) -> None:
+    if not jobs.is_written(folder):
+        sys.stdin.read()
     steps = run(jobs.read(folder))
     last, phase = 0.0, ""
     while True:

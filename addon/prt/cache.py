@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 import json
 import os
-import tempfile
 import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -153,13 +152,13 @@ def _delete(path: Path) -> None:
 
 def _write(folder: Path, key: str, arrays: Mapping[str, Array], report: Mapping[str, Any]) -> None:
     """OSError where there is no room; then nothing is left of it."""
-    descriptor, name = tempfile.mkstemp(suffix=UNFINISHED, prefix=key, dir=folder)
+    unfinished = folder / f"{key}-{os.urandom(8).hex()}{UNFINISHED}"
     try:
-        with os.fdopen(descriptor, "wb") as file:
+        with unfinished.open("xb") as file:
             _write_entry(file, arrays, report)
-        Path(name).replace(folder / (key + SUFFIX))
+        unfinished.replace(folder / (key + SUFFIX))
     except BaseException:
-        _delete(Path(name))
+        _delete(unfinished)
         raise
 
 

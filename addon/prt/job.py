@@ -207,6 +207,7 @@ class Results:
     peaks: tuple[Peak, ...] = ()
 
 
+SETTINGS = "settings.json"
 RECEIVER_ARRAYS = ("vertices", "triangles", "triangle_corners", "corner_vertices", "normals")
 RESULT_ARRAYS = ("transfer", "element_points", "residual", "visibility")
 SHOWN = ("transfer", "residual")
@@ -239,7 +240,7 @@ def light_digest(light: LightSource | None) -> bytes:
 
 
 def write(job: Job, folder: Path) -> None:
-    """Write ``job`` into an existing, empty ``folder``."""
+    """Write ``job`` into an existing, empty ``folder``, the settings last."""
     centre = _centre(job)
     for name, array in _arrays(job, centre):
         np.save(folder / f"{name}.npy", array)
@@ -258,12 +259,19 @@ def write(job: Job, folder: Path) -> None:
         "repairs": job.repairs,
         "centre": centre.tolist(),
     }
-    (folder / "settings.json").write_text(json.dumps(values, indent=1), encoding="utf-8")
+    unfinished = folder / "settings.tmp"
+    unfinished.write_text(json.dumps(values, indent=1), encoding="utf-8")
+    unfinished.rename(folder / SETTINGS)
+
+
+def is_written(folder: Path) -> bool:
+    """Whether all of a job is in ``folder``."""
+    return (folder / SETTINGS).exists()
 
 
 def read(folder: Path) -> Job:
     """The job of ``folder``, its arrays memory-mapped and centred."""
-    values = json.loads((folder / "settings.json").read_text(encoding="utf-8"))
+    values = json.loads((folder / SETTINGS).read_text(encoding="utf-8"))
     return Job(
         kind=values["kind"],
         settings=Settings(**values["settings"]),

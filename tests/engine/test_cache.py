@@ -136,7 +136,7 @@ def test_a_folder_that_may_only_be_read_still_gives(cache, monkeypatch):
     def refused(*_, **__):
         raise PermissionError(13, "Permission denied")
 
-    for module, name in ((os, "utime"), (caches.tempfile, "mkstemp"), (caches.Path, "unlink")):
+    for module, name in ((os, "utime"), (caches.Path, "open"), (caches.Path, "unlink")):
         monkeypatch.setattr(module, name, refused)
     assert_kept(cache.get("a"))
     assert not cache.put("b", ARRAYS, REPORT)
