@@ -14,10 +14,12 @@ seen from inside: nothing is mirrored.  Their frame has +Y up, +Z ahead and +X t
 The corners of a cross are not read.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 import numpy.typing as npt
 
-from . import sh
+from . import lat_long, sh
 
 Float = npt.NDArray[np.float64]
 Pixels = npt.NDArray[np.float32]
@@ -35,6 +37,7 @@ _LAYOUTS = {
     (6, 1): tuple((0, k) for k in range(6)),
     (1, 6): tuple((k, 0) for k in range(6)),
 }
+LAT_LONG_ROWS = (256, 1024)  # of a cubemap as a lat-long map, at least and at most
 DIRECTIONS = 1 << 14  # a chunk of them, times n² float64, stays in the cache
 
 
@@ -93,6 +96,63 @@ def project(faces: Pixels, order: int) -> Float:
         sums += (table.T @ texels).reshape(-1, 6, 3)
     turned = [sh.rotate(sums[:, face], FRAMES[face]) for face in range(6)]
     return np.asarray(np.sum(turned, axis=0))
+
+
+def to_lat_long(faces: Pixels) -> Pixels:
+    """A cubemap (6, N, N, 3) as a lat-long map (H, 2 H, 3), H = 2 N within ``LAT_LONG_ROWS``.
+
+    Each of its texels is the mean of the cubemap at some places in it.  The cubemap's texels are
+    scaled by their exact solid angle over that of the places that found them, so that each gives
+    the light that it has.
+    """
+    size = faces.shape[1]
+    height = min(max(LAT_LONG_ROWS[0], 2 * size), LAT_LONG_ROWS[1])
+    split = -(-max(2 * height, 8 * size) // height)
+    shares = np.zeros(6 * size * size)
+    for _, found, weights in _places_in_faces(height, split, size):
+        shares += np.bincount(found.ravel(), weights.ravel(), len(shares))
+    exact = np.tile(solid_angles(size).ravel(), 6)
+    scale = np.divide(exact, shares, out=np.ones_like(shares), where=shares > 0)
+    texels = faces.reshape(-1, 3) * scale[:, None]
+    pixels = np.empty((height, 2 * height, 3), np.float32)
+    for row, found, weights in _places_in_faces(height, split, size):
+        light = texels[found] * (weights / weights.sum() * 2 * height)[..., None]
+        pixels[row] = light.reshape(split, 2 * height, split, 3).sum(axis=(0, 2))
+    return pixels
+
+
+def _places_in_faces(
+    height: int, split: int, size: int
+) -> Iterator[tuple[int, npt.NDArray[np.int64], Float]]:
+    """For each row of a lat-long map, ``split``² places in each of its texels: the texels of the
+    cubemap that they lie in, as flat numbers, and their solid angles."""
+    rows = height * split
+    solid_angle = lat_long.row_solid_angles(rows, 2 * rows)
+    phi = np.pi - (np.arange(2 * rows) + 0.5) * np.pi / rows
+    around = np.stack([np.cos(phi), np.sin(phi), np.ones_like(phi)], axis=-1)
+    for row in range(height):
+        inside = np.arange(row * split, (row + 1) * split)
+        theta = (inside + 0.5) * np.pi / rows
+        sine = np.sin(theta)
+        down = np.stack([sine, sine, np.cos(theta)], axis=-1)
+        found = _texels_at((down[:, None] * around).reshape(-1, 3), size)
+        yield (
+            row,
+            found.reshape(split, -1),
+            np.repeat(solid_angle[inside], 2 * rows).reshape(split, -1),
+        )
+
+
+def _texels_at(directions: Float, size: int) -> npt.NDArray[np.int64]:
+    """The texels, as flat numbers over all faces, that ``directions`` (D, 3) lie in."""
+    largest = np.abs(directions).argmax(axis=1)
+    negative = directions[np.arange(len(directions)), largest] < 0
+    # the axes of FRAMES: +X, -X, +Z, -Z of Blender are faces 0 to 3, its +Y and -Y 4 and 5
+    face = np.array([0, 4, 2])[largest] + negative
+    local = np.einsum("dc,dck->dk", directions, FRAMES[face])
+    place = (local[:, :2] / local[:, 2:] + 1) * (0.5 * size)
+    column, row = np.clip(place.astype(np.int64), 0, size - 1).T
+    return np.asarray((face * size + row) * size + column)
 
 
 def _layout(height: int, width: int) -> tuple[int, int] | None:

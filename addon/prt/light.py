@@ -5,6 +5,7 @@ recoloured needs no new projection: ``world_sh`` does both.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,8 @@ class Projected:
 
     ``is_cubemap`` says how the picture was read, ``width`` and ``height`` how large it is (one
     face's, where six files hold the faces).  ``repairs`` counts pixels by what was wrong with
-    them: negative, nan, infinite.
+    them: negative, nan, infinite.  ``picture`` is the repaired picture itself, (H, W, 3) or the
+    faces (6, N, N, 3) of a cubemap; None where there is none.
     """
 
     image_sh: Float
@@ -35,6 +37,14 @@ class Projected:
     width: int = 0
     height: int = 0
     is_cubemap: bool = False
+    picture: Pixels | None = field(default=None, compare=False, repr=False)
+
+    @cached_property
+    def pixels(self) -> Pixels | None:
+        """The picture as a lat-long map (H, W, 3), top row first."""
+        if self.picture is None or not self.is_cubemap:
+            return self.picture
+        return cubemap.to_lat_long(self.picture)
 
 
 def project(source: LightSource) -> Projected:
@@ -49,13 +59,12 @@ def project(source: LightSource) -> Projected:
         raise BakeError("The world's picture has no pixels")
     repaired, repairs = repair(np.asarray(pixels, np.float32))
     height, width = repaired.shape[-3:-1]
-    if repaired.ndim == 4:
-        image_sh, cubic = cubemap.project(repaired, LIGHT_ORDER), True
-    elif source.may_be_cubemap and cubemap.is_cubemap(height, width):
-        image_sh, cubic = cubemap.project(cubemap.to_faces(repaired), LIGHT_ORDER), True
-    else:
-        image_sh, cubic = lat_long.project(repaired, LIGHT_ORDER), False
-    return Projected(image_sh, repairs, width, height, cubic)
+    if repaired.ndim == 3 and source.may_be_cubemap and cubemap.is_cubemap(height, width):
+        repaired = cubemap.to_faces(repaired)
+    cubic = repaired.ndim == 4
+    project_picture = cubemap.project if cubic else lat_long.project
+    image_sh = project_picture(repaired, LIGHT_ORDER)
+    return Projected(image_sh, repairs, width, height, cubic, repaired)
 
 
 def _pixels(source: LightSource) -> Pixels | None:

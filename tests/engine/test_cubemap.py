@@ -144,3 +144,24 @@ def test_a_finer_cubemap_is_closer_by_the_square():
     errors = [np.abs(cubemap.project(faces_of(size), 5) - truth).max() for size in (16, 32, 64)]
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.15)
     assert errors[1] / errors[2] == pytest.approx(4, rel=0.15)
+
+
+@pytest.mark.parametrize("size", [1, 5, 16, 64])
+def test_a_cubemap_as_a_lat_long_map_is_the_same_light(size):
+    faces = np.random.default_rng(size).random((6, size, size, 3), np.float32)
+    faces[2, size // 3, size // 2] = 1e3  # a sun of one texel keeps its light
+    expected = cubemap.project(faces, 5)
+    found = lat_long.project(cubemap.to_lat_long(faces), 5)
+    np.testing.assert_allclose(found[0], expected[0], rtol=1e-6)
+    np.testing.assert_allclose(found, expected, atol=6e-3 * np.abs(expected).max())
+
+
+def test_the_texels_of_a_cubemap_are_found_by_their_directions():
+    found = [cubemap._texels_at(cubemap.directions(k, 9).reshape(-1, 3), 9) for k in range(6)]
+    np.testing.assert_array_equal(np.concatenate(found), np.arange(6 * 81))
+
+
+def test_a_constant_cubemap_is_a_constant_map():
+    pixels = cubemap.to_lat_long(np.full((6, 32, 32, 3), 2, np.float32))
+    assert abs(pixels.mean() - 2) < 2e-3
+    assert np.abs(pixels - 2).max() < 0.5  # a texel's few places are no exact measure of it

@@ -159,3 +159,14 @@ def test_a_folder_of_six_faces_is_a_cubemap(tmp_path):
     (tmp_path / "ny.exr").unlink()
     with pytest.raises(BakeError, match="ny"):
         light.project(source)
+
+
+def test_the_picture_is_handed_on_repaired_as_a_lat_long_map(pixels):
+    assert light.project(LightSource()).pixels is None
+    np.testing.assert_array_equal(light.project(LightSource(pixels=pixels)).pixels, pixels)
+    pixels[3, 4, 1] = np.nan
+    assert np.isfinite(light.project(LightSource(pixels=pixels)).pixels).all()
+    strip = np.random.default_rng(5).random((16, 96, 3), np.float32)
+    projected = light.project(LightSource(pixels=strip, may_be_cubemap=True))
+    found = lat_long.project(projected.pixels, 5)
+    np.testing.assert_allclose(found, projected.image_sh, atol=2e-2)

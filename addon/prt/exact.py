@@ -1,0 +1,215 @@
+"""The exact light of a lat-long map at points: what no affordable order of coefficients holds.
+
+Two kinds of rays are combined by the balance heuristic (Veach and Guibas 1995): the transfer's own
+cosine-distributed ones, and some drawn in proportion to the map.  Both are weighted as if every
+direction were seen, too, and the light is the share that is visible of the unshadowed irradiance,
+which is known: exact for a point that sees all, and free of the noise that both sums share.
+
+The rays of the transfer are many, so the map's radiance and density for them come from a table of
+cells, 0.6 degrees across: two discs, of directions up and down, in Lambert's equal-area projection.
+The same table gives the density in the weights of the map's rays, so all weights of a direction add
+up to 1 whatever the cells leave out.
+"""
+
+from collections.abc import Iterator
+from copy import copy
+from math import pi
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .map_sampler import LUMINANCE, SETS, Blocks, MapSampler
+from .open_irradiance import OpenIrradiance
+
+Array = npt.NDArray[np.float32]
+Float = npt.NDArray[np.float64]
+Index = npt.NDArray[Any]
+
+CELLS = 256  # across a disc
+HALF = np.float32(0.5 * CELLS)
+INSIDE = np.float32(0.49999 * CELLS)  # so that rounding stays within a disc's cells
+TABLE_ROWS = 1024  # of places that a map is averaged from
+BATCH_RAYS = 32768  # whose arrays stay in the cache
+
+
+def cells(directions: Array) -> npt.NDArray[np.int32]:
+    """The cells (...) of unit world directions (..., 3) float32."""
+    z = directions[..., 2]
+    scale = np.abs(z)
+    scale += np.float32(1)
+    np.sqrt(scale, out=scale)
+    np.divide(INSIDE, scale, out=scale)
+    found = (directions[..., 0] * scale + HALF).astype(np.int32)
+    found *= CELLS
+    found += (directions[..., 1] * scale + HALF).astype(np.int32)
+    found += (z < 0) * np.int32(CELLS * CELLS)
+    return found
+
+
+def _cell_centres() -> Float:
+    """Unit directions (2 CELLS², 3) of the cells' centres, on the rim for those off the discs."""
+    u = (np.arange(CELLS) + 0.5 - HALF) / HALF
+    x, y = np.repeat(u, CELLS), np.tile(u, CELLS)
+    outside = np.sqrt(np.maximum(1, x * x + y * y))
+    x, y = x / outside, y / outside
+    z = 1 - x * x - y * y
+    upper = np.stack([x * np.sqrt(1 + z), y * np.sqrt(1 + z), z], axis=1)
+    return np.concatenate([upper, upper * [1, 1, -1]])
+
+
+class ExactLight:
+    """``strength * image(rotation @ direction)`` on white surfaces, from the picture's own pixels.
+
+    ``pixels`` (H, W, 3) float32, finite and not negative, are lat-long with the top row first.
+    ``map_rays`` are drawn for a point, of which those below its horizon are dropped.
+    """
+
+    def __init__(
+        self,
+        pixels: Array,
+        rotation: npt.ArrayLike,
+        strength: npt.ArrayLike,
+        map_rays: int,
+        seed: int,
+    ) -> None:
+        self.map_rays = map_rays
+        self._strength = np.asarray(strength, np.float64)
+        self._sampler = MapSampler(pixels, LUMINANCE * np.abs(self._strength))
+        largest = float(pixels.max())
+        self._unit = largest if largest > 0 else 1.0  # float32 then holds every map's range
+        self._samples = self._sampler.shifted_sets(map_rays, seed)
+        self._open = OpenIrradiance(self._sampler.blocks)
+        self.turn(np.asarray(rotation, np.float64))
+
+    def turned(self, rotation: npt.ArrayLike) -> "ExactLight":
+        """The same picture with another ``rotation``, sharing what doesn't depend on it."""
+        other = copy(self)
+        other.turn(np.asarray(rotation, np.float64))
+        return other
+
+    def turn(self, rotation: Float) -> None:
+        """Make the tables in world axes: of the cells (2 CELLS², 4), radiance and density times
+        ``map_rays``, and of the candidates."""
+        self._rotation = rotation
+        radiance = _mean_radiance(self._sampler.blocks, rotation)
+        density = self._sampler.density(radiance) * self.map_rays
+        table = np.concatenate([radiance / self._unit, density[:, None]], axis=1)
+        self._table = table.astype(np.float32)
+        samples = self._samples
+        directions = (samples.directions @ rotation).astype(np.float32)
+        self._directions = directions.reshape(-1, 3)
+        self._planes = np.ascontiguousarray(np.moveaxis(directions, 2, 0))
+        # density of the cells, by which the weights go, over the one that drew the sample
+        self._densities = self._table[cells(directions), 3]
+        ratio = self._densities / (max(1, self.map_rays) * samples.density)
+        self._values = (samples.pixels / self._unit * ratio[..., None]).astype(np.float32)
+
+    def candidates(self, normals: Array, picks: npt.NDArray[np.int64]) -> tuple[Index, Array]:
+        """The map's rays that points trace: their points (R,), rising, and directions (R, 3).
+
+        ``normals`` (P, 3) float32; ``picks`` (P,), any numbers, choose each point's set, and with
+        it whether neighbouring points make the same error.
+        """
+        above = np.flatnonzero(self._map_cosines(normals, picks) > 0)
+        point, candidate = np.divmod(above, self.map_rays)
+        found = self._directions.take((picks % SETS)[point] * self.map_rays + candidate, axis=0)
+        return point.astype(np.int32), found
+
+    def _map_cosines(self, normals: Array, picks: npt.NDArray[np.int64]) -> Array:
+        """Cosines (P, map_rays) of the candidates, the same bits wherever they are computed."""
+        chosen = picks % SETS
+        cosines: Array = self._planes[0].take(chosen, axis=0) * normals[:, 0, None]
+        cosines += self._planes[1].take(chosen, axis=0) * normals[:, 1, None]
+        cosines += self._planes[2].take(chosen, axis=0) * normals[:, 2, None]
+        return cosines
+
+    def open_exit_radiance(self, normals: npt.ArrayLike) -> Array:
+        """Exit radiance (P, 3) of a white surface that sees the whole sky above ``normals``
+        (P, 3)."""
+        n = np.asarray(normals, np.float64)
+        turned = np.stack(
+            [n[:, 0] * r[0] + n[:, 1] * r[1] + n[:, 2] * r[2] for r in self._rotation], axis=1
+        )
+        return np.asarray(self._open(turned) * (self._strength / pi), np.float32)
+
+    def exit_radiance(  # noqa: PLR0917 - all of a trace
+        self,
+        normals: Array,
+        cosines: Array,
+        directions: Array,
+        visible: npt.NDArray[Any],
+        point: Index,
+        map_visible: npt.NDArray[Any],
+        picks: npt.NDArray[np.int64],
+    ) -> Array:
+        """Exit radiance (P, 3) of white surfaces with ``normals`` (P, 3): E / pi.
+
+        ``directions`` (P, N, 3) are cosine-distributed about the normals, with ``cosines`` (N,),
+        and ``visible`` (P, N) where they reach the sky; ``point`` (R,) is what ``candidates`` gave
+        and ``map_visible`` (R,) which of those do.
+        """
+        out = self.open_exit_radiance(normals)
+        rays = max(1, len(cosines) + self.map_rays)
+        for part in _slices(len(normals), max(1, BATCH_RAYS // rays)):
+            first, last = np.searchsorted(point, [part.start, part.stop])
+            seen, whole = self._of_cosine_rays(cosines, directions[part], visible[part])
+            map_seen, map_whole = self._of_map_rays(
+                normals[part], picks[part], map_visible[first:last], len(cosines)
+            )
+            whole += map_whole
+            seen += map_seen
+            out[part] *= np.divide(seen, whole, out=np.zeros_like(seen), where=whole > 0)
+        return out
+
+    def _of_cosine_rays(
+        self, cosines: Array, directions: Array, visible: npt.NDArray[Any]
+    ) -> tuple[Array, Array]:
+        """The sums (P, 3) over the transfer's own rays, and as if all of them were visible."""
+        found = self._table.take(cells(directions), axis=0)
+        weights = cosines / (cosines * np.float32(len(cosines) / pi) + found[..., 3])
+        return _sums(weights, found[..., :3], visible)
+
+    def _of_map_rays(
+        self,
+        normals: Array,
+        picks: npt.NDArray[np.int64],
+        map_visible: npt.NDArray[Any],
+        cosine_rays: int,
+    ) -> tuple[Array, Array]:
+        """The sums (P, 3) over the map's rays, and as if all of them were visible."""
+        cosines = self._map_cosines(normals, picks)
+        visible = np.zeros(cosines.shape, np.float32)
+        visible[cosines > 0] = map_visible
+        np.maximum(cosines, 0, out=cosines)
+        chosen = picks % SETS
+        densities = self._densities.take(chosen, axis=0)
+        weights = cosines / (cosines * np.float32(cosine_rays / pi) + densities)
+        return _sums(weights, self._values.take(chosen, axis=0), visible)
+
+
+def _slices(count: int, size: int) -> Iterator[slice]:
+    return (slice(i, min(i + size, count)) for i in range(0, count, size))
+
+
+def _sums(weights: Array, values: Array, visible: npt.NDArray[Any]) -> tuple[Array, Array]:
+    """Sums (P, 3) of ``weights`` (P, N) times ``values`` (P, N, 3), of what is visible and of all.
+
+    One product of the same shape for each point, so that its bits don't depend on the others.
+    """
+    whole = np.matmul(weights[:, None], values)[:, 0]
+    seen = np.matmul((weights * visible)[:, None], values)[:, 0]
+    return seen, whole
+
+
+def _mean_radiance(blocks: Blocks, rotation: Float) -> Float:
+    """Mean pixels (2 CELLS², 3) of the cells in world axes, of a map that ``rotation`` turns."""
+    sums = np.zeros((4, 2 * CELLS * CELLS))
+    for directions, weights in blocks.places(TABLE_ROWS):
+        found = cells((directions @ rotation).astype(np.float32))
+        for c in range(4):
+            sums[c] += np.bincount(found, weights[:, c], len(sums[c]))
+    empty = np.flatnonzero(sums[3] == 0)
+    rows, columns = blocks.at(_cell_centres()[empty] @ rotation.T)
+    sums[:, empty] = blocks.flux_and_solid_angle()[rows, columns].T
+    return np.asarray((sums[:3] / sums[3]).T)
