@@ -40,6 +40,11 @@ def buried(origins: Array, normals: Array, transfer: npt.NDArray, occlusion: Occ
     return found
 
 
+def rays_for(transfer: npt.NDArray) -> int:  # type: ignore[type-arg]
+    """The rays that ``buried`` casts for points with ``transfer`` (P, ...)."""
+    return RAYS * int((~transfer.reshape(len(transfer), -1).any(axis=1)).sum())
+
+
 def fill(points: Points, receiver: Receiver, transfer: Array, hidden: Mask) -> None:
     """Give ``hidden`` points that share a triangle with sound ones the darkest one's ``transfer``
     (P, n²)."""

@@ -15,6 +15,17 @@ def floor_and_crate(inward=False):
     return shapes.receiver(*floor), *shapes.join(floor, crate)
 
 
+class Counting(rays.Sky):
+    """The open sky, counting who looks for backs."""
+
+    def __init__(self):
+        self.rays = 0
+
+    def meets_back(self, origins, directions):
+        self.rays += len(directions)
+        return super().meets_back(origins, directions)
+
+
 def inside(places):
     return np.abs(places[:, :2]).max(axis=1) < 0.5
 
@@ -47,16 +58,26 @@ def test_what_sees_the_sky_is_never_buried():
     assert not buried.buried(where.origins, where.normals, lit, sky).any()
 
 
-@pytest.fixture
-def baked():
+def bake(fit):
     receiver, vertices, triangles = floor_and_crate()
-    job = Job("bake", Settings(verify_points=200), LightSource(), (receiver,), vertices, triangles)
+    settings = Settings(verify_points=200, fit=fit)
+    job = Job("bake", settings, LightSource(), (receiver,), vertices, triangles)
     steps = run(job)
     while True:
         try:
             next(steps)
         except StopIteration as stop:
             return receiver, stop.value
+
+
+@pytest.fixture(scope="module")
+def baked():
+    return bake(fit=False)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return bake(fit=True)
 
 
 def test_the_first_ring_takes_what_lies_outside(baked):
@@ -74,6 +95,25 @@ def test_the_first_ring_takes_what_lies_outside(baked):
     assert results.report["objects"][0]["buried_points"] == 64
 
 
-def test_unseen_points_do_not_count_as_errors(baked):
-    _, results = baked
+def test_a_fit_darkens_towards_the_crate_and_no_further(fitted):
+    """The floor at the foot of a wall sees half of the sky."""
+    receiver, results = fitted
+    shown = results.receivers[0].at_elements(results.receivers[0].transfer)[:, 0, 0]
+    places = receiver.vertices[receiver.corner_vertices]
+    border = inside(places) & (np.abs(places[:, :2]).max(axis=1) > 0.4)
+    deep = np.abs(places[:, :2]).max(axis=1) < 0.2
+    assert shown[border].min() > 0.4 * shown.max()
+    assert not shown[deep].any()
+
+
+@pytest.mark.parametrize("name", ["baked", "fitted"])
+def test_unseen_points_do_not_count_as_errors(name, request):
+    _, results = request.getfixturevalue(name)
     assert results.report["objects"][0]["measured_error"]["on_surface"] < 0.1
+
+
+def test_the_rays_that_look_for_backs_are_known():
+    some = np.array([[0.0, 0], [0, 1], [0, 0]], np.float32)
+    sky = Counting()
+    buried.buried(np.zeros((3, 3), np.float32), np.eye(3, dtype=np.float32), some, sky)
+    assert sky.rays == buried.rays_for(some) == 2 * buried.RAYS

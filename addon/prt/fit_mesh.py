@@ -1,0 +1,191 @@
+"""A mesh as a fit sees it: the quadratic forms of what was found on it, and of how far its values
+bend at the edges."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .points import Float, Index
+from .samples import Places
+
+Array = npt.NDArray[np.float32]
+
+NEEDLE = 0.05  # a triangle counts as at least this high, of the two triangles at an edge
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles ``corners`` (F, 3) over ``count`` points, their ``areas`` (F,), and what joins
+    them: ``edges`` (E, 2), the lower point first, and ``sides`` (F, 3), the edge from each corner
+    to the next.  Edges of two triangles are ``hinges`` (H, 4): the edge's ends and the corners
+    opposite; ``jumps`` (H, 4) times the values there is the jump of the gradient across the edge,
+    ``hinge_areas`` (H,) the area of both triangles, and ``hinge_sides`` (H, 5) the edge itself and
+    those from the first end, the second, to the first tip, then to the second."""
+
+    count: int
+    corners: Index
+    areas: Float
+    edges: Index
+    sides: Index
+    hinges: Index
+    jumps: Float
+    hinge_areas: Float
+    hinge_sides: Index
+
+
+def mesh_of(corners: Index, positions: Float, areas: Float, count: int) -> Mesh:
+    """The mesh of triangles ``corners`` (F, 3) over ``count`` points, positions (F, 3, 3)."""
+    start, end = corners, corners[:, [1, 2, 0]]
+    keys = np.minimum(start, end).astype(np.int64) * count + np.maximum(start, end)
+    found, sides = np.unique(keys.reshape(-1), return_inverse=True)
+    edges = np.stack([found // count, found % count], axis=1)
+    sides = sides.reshape(-1, 3)
+    by_edge = np.argsort(sides.reshape(-1), kind="stable")
+    uses = np.bincount(sides.reshape(-1), minlength=len(edges))
+    first = (np.cumsum(uses) - uses)[uses == 2]
+    halves = np.stack([by_edge[first], by_edge[first + 1]], axis=1)  # (H, 2) of 3 F
+    triangle, side = halves // 3, halves % 3
+    ends = edges[uses == 2]
+    reversed_ = corners[triangle, side] != ends[:, :1]
+    along, height = _heights(positions, areas, triangle, side)
+    along = np.where(reversed_, 1 - along, along)
+    height = np.maximum(height, NEEDLE * height.sum(axis=1, keepdims=True))
+    jumps = np.concatenate(
+        [-((1 - along) / height).sum(axis=1)[:, None], -(along / height).sum(axis=1)[:, None],
+         1 / height], axis=1)  # fmt: skip
+    tips = corners[triangle, (side + 2) % 3]
+    around = _sides_around(sides, triangle, side, reversed_)
+    own = np.flatnonzero(uses == 2)[:, None]
+    return Mesh(
+        count, corners, areas, edges, sides, np.concatenate([ends, tips], axis=1), jumps,
+        areas[triangle].sum(axis=1), np.concatenate([own, around], axis=1),
+    )  # fmt: skip
+
+
+def _heights(positions: Float, areas: Float, triangle: Index, side: Index) -> tuple[Float, Float]:
+    """For both triangles (H, 2) at an edge: how far along it the third corner's foot lies, from
+    where that triangle's side starts, and the corner's height."""
+    from_, to, tip = (positions[triangle, (side + k) % 3] for k in range(3))
+    edge = to - from_
+    squared = np.maximum(np.einsum("htc,htc->ht", edge, edge), 1e-300)
+    along = np.einsum("htc,htc->ht", tip - from_, edge) / squared
+    return along, 2 * areas[triangle] / np.sqrt(squared)
+
+
+def _sides_around(
+    sides: Index, triangle: Index, side: Index, reversed_: npt.NDArray[np.bool_]
+) -> Index:
+    """The other edges (H, 4) of both triangles at an edge: from its first end and its second to
+    the first tip, then to the second; ``reversed_`` (H, 2) where a triangle runs the other way."""
+    towards = sides[triangle, (side + 1) % 3]
+    away = sides[triangle, (side + 2) % 3]
+    from_first, from_second = np.where(reversed_, towards, away), np.where(reversed_, away, towards)
+    return np.stack([from_first[:, 0], from_second[:, 0], from_first[:, 1], from_second[:, 1]], 1)
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """A symmetric form over the points: its diagonal (P,), its entries at the edges (E,) and
+    between the tips of the hinges (H,)."""
+
+    diagonal: Float
+    edges: Float
+    tips: Float
+
+
+def sample_form(mesh: Mesh, places: Places, weights: Float) -> Quadratic:
+    """The sum of ``weights`` (S,) times the square of the value interpolated at ``places``."""
+    corners, sides = mesh.corners[places.triangles], mesh.sides[places.triangles]
+    b = places.barycentric
+    own = weights[:, None] * b * b
+    between = weights[:, None] * b * b[:, [1, 2, 0]]
+    return Quadratic(
+        np.bincount(corners.reshape(-1), own.reshape(-1), mesh.count),
+        np.bincount(sides.reshape(-1), between.reshape(-1), len(mesh.edges)),
+        np.zeros(len(mesh.hinges)),
+    )
+
+
+def jump_form(mesh: Mesh, weights: Float) -> Quadratic:
+    """The sum over the hinges of ``weights`` (H,) times a sixth of their squared area times the
+    square of the gradient's jump."""
+    energy = weights * mesh.hinge_areas**2 / 6
+    a, b, c, d = mesh.jumps.T
+    edges = np.zeros(len(mesh.edges))
+    for k, product in enumerate((a * b, a * c, b * c, a * d, b * d)):
+        edges += np.bincount(mesh.hinge_sides[:, k], energy * product, len(edges))
+    diagonal = np.bincount(
+        mesh.hinges.reshape(-1), (energy[:, None] * mesh.jumps**2).reshape(-1), mesh.count
+    )
+    return Quadratic(diagonal, edges, energy * c * d)
+
+
+def right_side(mesh: Mesh, places: Places, weights: Float, values: Array) -> Array:
+    """What the form of the samples is to give (P, K): their weighted ``values`` (S, K) spread over
+    the corners of their triangles."""
+    corners = mesh.corners[places.triangles]
+    b = (weights[:, None] * places.barycentric).astype(np.float32)
+    order = np.argsort(corners.reshape(-1), kind="stable")
+    spread = (b[:, :, None] * values[:, None]).reshape(-1, values.shape[1])[order]
+    touched, first = np.unique(corners.reshape(-1)[order], return_index=True)
+    out = np.zeros((mesh.count, values.shape[1]), np.float32)
+    if len(touched):
+        out[touched] = np.add.reduceat(spread, first, axis=0)
+    return out
+
+
+def lumped(mesh: Mesh, places: Places, weights: Float, values: Array) -> Array:
+    """Averages (P, K) of the samples about each point; of the neighbours' where it has none."""
+    total = right_side(mesh, places, weights, np.ones((len(values), 1), np.float32))
+    sums = right_side(mesh, places, weights, values)
+    known = total[:, 0] > 0
+    total[~known] = 1
+    out: Array = sums / total
+    while not known.all():
+        fresh = _from_neighbours(mesh, known, out)
+        if not fresh.any():
+            break
+        known |= fresh
+    return out
+
+
+def _from_neighbours(
+    mesh: Mesh, known: npt.NDArray[np.bool_], values: Array
+) -> npt.NDArray[np.bool_]:
+    """Give unknown points beside known ones their mean; which ones got it."""
+    pairs = np.concatenate([mesh.edges, mesh.edges[:, ::-1]])
+    pairs = pairs[~known[pairs[:, 0]] & known[pairs[:, 1]]]
+    pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
+    rows, first, count = np.unique(pairs[:, 0], return_index=True, return_counts=True)
+    if len(rows):
+        sums = np.add.reduceat(values[pairs[:, 1]], first, axis=0)
+        values[rows] = sums / count[:, None].astype(np.float32)
+    fresh = np.zeros(len(known), bool)
+    fresh[rows] = True
+    return fresh
+
+
+def interpolated(mesh: Mesh, places: Places, values: Array) -> Array:
+    """``values`` (P, K) of the points at ``places``, (S, K)."""
+    corners = mesh.corners[places.triangles]
+    b = places.barycentric.astype(np.float32)
+    shown = b[:, :1] * values[corners[:, 0]]
+    for k in (1, 2):
+        shown += b[:, k : k + 1] * values[corners[:, k]]
+    return np.asarray(shown, np.float32)
+
+
+def components(edges: Index, count: int) -> Index:
+    """The lowest point (P,) of each point's connected component."""
+    label = np.arange(count)
+    while True:
+        low = np.minimum(label[edges[:, 0]], label[edges[:, 1]])
+        new = label.copy()
+        np.minimum.at(new, label[edges[:, 0]], low)
+        np.minimum.at(new, label[edges[:, 1]], low)
+        while (new != new[new]).any():
+            new = new[new]
+        if (new == label).all():
+            return label
+        label = new
