@@ -75,6 +75,15 @@ def test_half_float_and_integer_channels_are_read(tmp_path, pixels, dtype):
     np.testing.assert_array_equal(images.read(path), values.astype(np.float32))
 
 
+def test_colours_of_different_types_are_read(tmp_path, pixels):
+    colours = planes(pixels)
+    colours["G"] = colours["G"].astype(np.float16)
+    expected = pixels.copy()
+    expected[..., 1] = colours["G"]
+    path = save(tmp_path / "mixed.exr", colours)
+    np.testing.assert_array_equal(images.read(path), expected)
+
+
 def test_alpha_and_depth_are_left_out(tmp_path, pixels):
     more = {"A": np.zeros(RNG_SHAPE[:2], np.float32), "Z": np.ones(RNG_SHAPE[:2], np.float32)}
     path = save(tmp_path / "more.exr", planes(pixels) | more)
