@@ -1,0 +1,131 @@
+"""A scene of millions of triangles and points: memory, seconds by phase, and time a point.
+
+A displaced sheet under a thousand rocks, which together have the triangles asked for.  The sheet is
+baked at several sizes under the same rocks; what a point takes must not grow with their number.
+The engine runs in its own process, as in a bake.
+"""
+
+import argparse
+import resource
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from prt_baker.addon import engine
+from prt_baker.addon.prt import job as jobs
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "engine"))
+import shapes
+
+ROCKS = 1000
+SIZE = 100.0  # metres along a side
+Mesh = tuple[np.ndarray, np.ndarray]
+
+
+def heights(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Hills and ripples."""
+    return 3 * np.sin(0.13 * x) * np.cos(0.17 * y) + 0.2 * np.sin(2.1 * x + 1.3 * y)
+
+
+def sheet(points: int) -> jobs.Receiver:
+    """The displaced square, with about as many vertices, smooth."""
+    count = max(1, round(points**0.5) - 1)
+    vertices, triangles = shapes.grid([0, 0, 0], [SIZE, 0, 0], [0, SIZE, 0], count)
+    x, y = vertices[:, 0], vertices[:, 1]
+    step = 1e-3
+    slope_x = (heights(x + step, y) - heights(x - step, y)) / (2 * step)
+    slope_y = (heights(x, y + step) - heights(x, y - step)) / (2 * step)
+    vertices[:, 2] = heights(x, y)
+    normals = np.stack([-slope_x, -slope_y, np.ones_like(x)], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return shapes.receiver(vertices, np.ascontiguousarray(triangles), normals, "sheet")
+
+
+def rocks(triangles: int) -> list[Mesh]:
+    """Bumpy balls that lie on the sheet, all together of about as many triangles."""
+    rows = max(4, round((triangles / ROCKS / 4) ** 0.5))
+    ball, faces, _ = shapes.sphere(rows, 2 * rows)
+    ball *= 1 + 0.1 * np.sin(7 * ball[:, :1]) * np.cos(5 * ball[:, 1:2] + 3 * ball[:, 2:])
+    random = np.random.default_rng(0)
+    places = random.random((ROCKS, 2)) * SIZE
+    sizes = random.uniform(0.3, 1.5, ROCKS)
+    heights_there = heights(*places.T)
+    return [
+        (ball * size + [*place, height], faces)
+        for place, size, height in zip(places, sizes, heights_there, strict=True)
+    ]
+
+
+def scene(points: int, triangles: int, settings: jobs.Settings) -> jobs.Job:
+    """The sheet with ``points`` under rocks; all triangles together are about ``triangles``."""
+    receiver = sheet(points)
+    ground = (receiver.vertices, receiver.triangles)
+    parts = [ground, *rocks(max(0, triangles - len(receiver.triangles)))]
+    starts = np.cumsum([0, *(len(faces) for _, faces in parts)])
+    return jobs.Job(
+        settings=settings,
+        light=jobs.LightSource(),
+        receivers=(receiver,),
+        occluder_vertices=np.concatenate([vertices for vertices, _ in parts]),
+        occluder_triangles=joined([faces for _, faces in parts], [len(v) for v, _ in parts]),
+        occluder_starts=starts,
+    )
+
+
+def joined(faces: list[np.ndarray], sizes: list[int]) -> np.ndarray:
+    """Triangles of meshes whose vertices follow one another."""
+    offsets = np.cumsum([0, *sizes[:-1]])
+    return np.concatenate(
+        [f + np.int32(o) for f, o in zip(faces, offsets, strict=True)], dtype="i4"
+    )
+
+
+def bake(job: jobs.Job) -> tuple[jobs.Results, float]:
+    """The results, and seconds from arrays to arrays."""
+    start = time.perf_counter()
+    with engine.job_folder() as folder:
+        steps = engine.run(job, folder)
+        while True:
+            try:
+                next(steps)
+            except StopIteration as stop:
+                return stop.value, time.perf_counter() - start
+
+
+def main() -> None:
+    """Print a line for each size."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--points", type=int, nargs="+", default=[10_000, 100_000, 1_000_000])
+    parser.add_argument("--triangles", type=int, default=10_000_000)
+    parser.add_argument("--rays", type=int, default=64)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--no-fit", action="store_true", help="values at the vertices alone")
+    parser.add_argument("--no-residual", action="store_true")
+    asked = parser.parse_args()
+    settings = jobs.Settings(
+        rays=asked.rays,
+        threads=asked.threads,
+        fit=not asked.no_fit,
+        residual=not asked.no_residual,
+    )
+    for points in asked.points:
+        job = scene(points, asked.triangles, settings)
+        results, wall = bake(job)
+        report = results.report
+        (entry,) = report["objects"]
+        own = sum(entry["seconds"].values())
+        phases = ", ".join(f"{name} {s:.2f}" for name, s in report["seconds"].items())
+        parent = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        print(
+            f"{entry['points']:,} points, {len(job.occluder_triangles):,} triangles, "
+            f"{entry['rays'] / 1e6:.1f} M rays: {wall:.1f} s ({phases}), "
+            f"{own / entry['points'] * 1e6:.1f} µs a point, peak "
+            f"{report['peak_memory_bytes'] / 2**30:.2f} GiB, this process {parent:.2f} GiB",
+            flush=True,
+        )
+        del job, results
+
+
+if __name__ == "__main__":
+    main()
