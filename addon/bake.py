@@ -139,7 +139,8 @@ def _possible(
     is_colour = simple is not None and simple.image is None
     turns = 0 if is_colour or not settings.residual else settings.turns
     most = Layout(settings.order, 1, turns, 0 if is_colour else settings.peaks)
-    return Layout(1 if settings.final_light else settings.order, 1, turns), most
+    may_be_cut = settings.final_light or settings.tolerance > 0
+    return Layout(1 if may_be_cut else settings.order, 1, turns), most
 
 
 def _read(

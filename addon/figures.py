@@ -11,6 +11,7 @@ PHASES = {
     "start": "Starting the engine",
     "light": "Reading the light",
     "prepare": "Preparing the scene",
+    "effort": "Finding how many rays it takes",
     "transfer": "Tracing",
     "verify": "Tracing again to verify",
 }
@@ -55,7 +56,7 @@ def stamp_lines(stamp: Stamp) -> list[str]:
     """What a bake says of itself: size, speed, and its errors where they are known."""
     return [
         f"order {stamp.order}, {stamp.points:,} points",
-        f"{stamp.rays:,} rays a point, {stamp.mrays_per_second:.1f} Mrays/s",
+        f"{stamp.rays:,} rays a point, {_speed([stamp])}",
         *_errors([stamp]),
     ]
 
@@ -63,11 +64,8 @@ def stamp_lines(stamp: Stamp) -> list[str]:
 def summary_lines(stamps: list[Stamp]) -> list[str]:
     """Several bakes together: how many, how large, how fast, and the worst of their errors."""
     points = sum(stamp.points for stamp in stamps)
-    mrays = sum(stamp.points * stamp.rays for stamp in stamps) / 1e6
-    seconds = sum(
-        stamp.points * stamp.rays / 1e6 / max(stamp.mrays_per_second, 1e-9) for stamp in stamps
-    )
-    speed = f"{mrays:,.1f} Mrays, {mrays / max(seconds, 1e-9):.1f} Mrays/s"
+    mrays = sum(map(_mrays, stamps))
+    speed = f"{mrays:,.1f} Mrays, {_speed(stamps)}"
     return [f"{objects(len(stamps))}, {points:,} points", speed, *_errors(stamps)]
 
 
@@ -85,6 +83,20 @@ def another_light(name: str) -> str:
         f"{name!r} was baked under another world and shows soft shadows alone: "
         "bake it again for sharp ones"
     )
+
+
+def _mrays(stamp: Stamp) -> float:
+    """Millions of rays that the bake stands for; fewer may have been traced."""
+    return stamp.points * stamp.rays / 1e6
+
+
+def _speed(stamps: list[Stamp]) -> str:
+    """All rays over all seconds, of what was traced."""
+    traced = [stamp for stamp in stamps if stamp.mrays_per_second > 0 and stamp.rays > 0]
+    if not traced:
+        return "nothing had to be traced"
+    seconds = sum(_mrays(stamp) / stamp.mrays_per_second for stamp in traced)
+    return f"{sum(map(_mrays, traced)) / seconds:.1f} Mrays/s"
 
 
 def _errors(stamps: list[Stamp]) -> list[str]:

@@ -87,3 +87,6 @@ def test_the_speed_of_several_bakes_is_all_rays_over_all_seconds():
     slow = stamped(points=1_000_000, rays=100, mrays_per_second=1.0)
     fast = stamped(points=1_000_000, rays=100, mrays_per_second=4.0)
     assert figures.summary_lines([slow, fast])[1] == "200.0 Mrays, 1.6 Mrays/s"
+    known = stamped(points=1_000_000, rays=100, mrays_per_second=0.0)
+    assert figures.summary_lines([slow, fast, known])[1] == "300.0 Mrays, 1.6 Mrays/s"
+    assert figures.stamp_lines(known)[1] == "100 rays a point, nothing had to be traced"
