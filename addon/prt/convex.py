@@ -40,7 +40,8 @@ def _holds_below(positions: Float, receiver: Receiver, slack: float) -> bool:
     """Whether all lies below the tangent planes at some of the elements, and what shares a
     triangle with an element below its own."""
     elements = element_triangles(receiver)
-    normals = np.asarray(receiver.normals, np.float64)
+    # a point without a sound normal takes its face's
+    normals = np.nan_to_num(np.asarray(receiver.normals, np.float64), posinf=0, neginf=0)
     chosen = np.linspace(0, elements.size - 1, PLANES).astype(np.int64)
     some = normals[elements.reshape(-1)[chosen]]
     heights = np.einsum("ec,ec->e", some, positions[receiver.triangles.reshape(-1)[chosen]])

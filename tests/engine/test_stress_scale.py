@@ -59,6 +59,16 @@ def test_distance_from_the_origin_changes_nothing(knot, distance, scale, record_
     assert error < 1e-3
 
 
+@pytest.mark.parametrize(("scale", "distance"), [(1e-4, 0.0), (1e5, 0.0), (1.0, 1e6)])
+def test_scale_changes_no_fit(scale, distance, record_property):
+    """The same with values fitted to samples inside the triangles, scales 1e-4 and 1e5, and 1e6
+    from the origin: to 1e-3 (RMS)."""
+    fitted = knot_at(scale, (distance, -distance, distance), fit=True)
+    error = relative_rms(fitted, knot_at(fit=True))
+    record_property("measured", error)
+    assert error < 1e-3
+
+
 @pytest.mark.parametrize("size", [1e-4, 1.0, 1e5])
 @pytest.mark.parametrize("place", [0.0, 1e6])
 def test_a_closed_room_is_dark_at_every_scale(size, place, record_property):
