@@ -29,6 +29,7 @@ CHUNK = 1 << 18  # triangles
 WORTH = 0.05  # of the rays have to be saved by a sample of the blocks
 SAMPLE, BLOCK = 64, 64  # blocks, and their points
 FLAT = 1e-4
+REACH_BLOCKS = 256
 MIXED = 0.3  # radians between the normals of a block: its points are then looked at one by one
 
 
@@ -212,6 +213,28 @@ class Surroundings:
         saved = found.open_share(points.origins[rows], points.normals[rows]).mean()
         return found if saved > WORTH else None
 
+    def reachable(self, points: Points) -> Index:
+        """The parts, ascending, that rise above the tangent plane of any of ``points``: nothing
+        else can change what they see."""
+        size = max(BLOCK, -(-len(points.origins) // REACH_BLOCKS))
+        starts = np.arange(0, len(points.origins), size)
+        found = np.zeros(len(self._boxes), bool)
+        for start in starts:
+            part = slice(start, start + size)
+            normals = points.normals[part].astype(np.float64)
+            axis = normals.mean(axis=0)
+            axis /= max(float(np.linalg.norm(axis)), 1e-30)
+            lowest = (points.origins[part].astype(np.float64) @ axis).min()
+            middle = 0.5 * (self._boxes[:, :3] + self._boxes[:, 3:])
+            half = 0.5 * (self._boxes[:, 3:] - self._boxes[:, :3])
+            height = middle @ axis + half @ np.abs(axis) - lowest
+            nearest = float((normals @ axis).min())
+            away = np.linalg.norm(middle - points.origins[start], axis=1)
+            away += np.linalg.norm(half, axis=1) + np.ptp(points.origins[part], axis=0).max() * 2
+            chord = np.sqrt(max(0.0, 2 - 2 * nearest))
+            found |= height + chord * away > 0
+        return np.asarray(np.flatnonzero(found))
+
     def _parts_like(self, receiver: Receiver) -> Index:
         """The parts that are ``receiver`` itself: as large, as many triangles, at its place."""
         places = np.asarray(receiver.vertices)[receiver.triangles].reshape(-1, 3)
@@ -225,7 +248,7 @@ def _sample(points: Points) -> Index:
     """Some blocks (B, K) of neighbouring points."""
     count = len(points.origins)
     starts = np.linspace(0, max(0, count - BLOCK), SAMPLE).astype(np.int64)
-    return np.minimum(np.unique(starts)[:, None] + np.arange(BLOCK), count - 1)
+    return np.asarray(np.minimum(np.unique(starts)[:, None] + np.arange(BLOCK), count - 1))
 
 
 def _flat_share(points: Points, rows: Index) -> float:

@@ -108,3 +108,10 @@ class Triangles:
 def occlusion(vertices: npt.ArrayLike, triangles: npt.ArrayLike) -> Occlusion:
     """Embree over ``vertices`` (V, 3) and ``triangles`` (F, 3); the open sky where F is 0."""
     return Triangles(vertices, triangles) if len(np.asarray(triangles)) else Sky()
+
+
+def version() -> str:
+    """Embreex's own."""
+    import embreex
+
+    return str(embreex.__version__)

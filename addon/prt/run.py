@@ -2,170 +2,113 @@
 
 import platform
 import sys
-import time
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from importlib.metadata import PackageNotFoundError, version
-from typing import Any, TypeVar, cast
+from collections.abc import Generator, Sequence
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
-from . import VERSION, light
-from .buried import buried, fill
-from .job import Job, Progress, Receiver, ReceiverResult, Results, Settings, content_hash
+from . import VERSION, bands, images, rays
+from .baking import Baked, Scene, bake
+from .cache import Cache
+from .exact_world import World
+from .job import Job, Progress, Receiver, ReceiverResult, Results, content_hash
+from .meter import Meter
 from .points import Points, distinct_points
-from .rays import Occlusion, occlusion
-from .transfer import estimate_error, trace_all
 from .verify import measure
-
-Value = TypeVar("Value")
-
 
 Entry = dict[str, Any]
 
 
-@dataclass
-class _Meter:
-    """Rays and seconds of a run: known, spent, and spent by phase."""
-
-    start: float = field(default_factory=time.perf_counter)
-    rays_expected: int = 0
-    rays: int = 0
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def elapsed(self) -> float:
-        return time.perf_counter() - self.start
-
-    @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        """Count the seconds inside as ``name``'s."""
-        since = time.perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - since
-
-    def follow(
-        self, phase: str, steps: Generator[int, None, Value]
-    ) -> Generator[Progress, None, Value]:
-        """Progress of ``steps``, which yield the rays that they have cast; their value."""
-        before = self.rays
-        while True:
-            try:
-                self.rays = before + next(steps)
-            except StopIteration as stop:
-                return cast(Value, stop.value)
-            yield self.progress(phase)
-
-    def progress(self, phase: str) -> Progress:
-        fraction = min(1.0, self.rays / max(1, self.rays_expected))
-        return Progress(phase, fraction, self.rays, self.elapsed)
-
-
 def run(job: Job) -> Generator[Progress, None, Results]:
     """Do ``job``; its results are the generator's value.  ``close()`` cancels it."""
-    meter = _Meter()
+    meter = Meter(work=_work(job))
     report: dict[str, Any] = {"job_hash": content_hash(job), "objects": []}
-    image_sh = None
     yield meter.progress("light")
+    cache = Cache(job.settings.cache)
+    with meter.phase("light"):
+        world = World(job, cache)
+    scene = Scene(job, world, cache, meter)
+    receivers: Sequence[ReceiverResult] = ()
+    if job.kind == "bake":
+        receivers = yield from _bake(scene, report["objects"])
+        receivers = _with_needed_bands(scene, receivers, report["objects"])
+    elif job.kind == "verify":
+        yield from _verify(scene, report["objects"])
     if job.light is not None:
-        with meter.phase("light"):
-            projected = light.project(job.light)
-        image_sh = projected.image_sh
-        report["light"] = _light_report(projected)
-    receivers: tuple[ReceiverResult, ...] = ()
-    if job.kind != "light":
-        receivers = yield from _transfer(job, meter, report["objects"])
+        report["light"] = world.report
     report.update(_run_report(job, meter))
-    return Results(image_sh, receivers, report)
+    return Results(world.image_sh, tuple(receivers), report)
 
 
-def _transfer(
-    job: Job, meter: _Meter, entries: list[Entry]
-) -> Generator[Progress, None, tuple[ReceiverResult, ...]]:
-    """Bake or verify every receiver of ``job``, with an entry of the report for each."""
-    yield meter.progress("prepare")
-    with meter.phase("prepare"):
-        points = [distinct_points(receiver) for receiver in job.receivers]
-        sky = occlusion(job.occluder_vertices, job.occluder_triangles)
-    meter.rays_expected = _rays_expected(job, points)
-    results: list[ReceiverResult] = []
-    for receiver, its_points in zip(job.receivers, points, strict=True):
-        entry: Entry = {"name": receiver.name}
-        if job.kind == "bake":
-            result = yield from _bake(
-                receiver, its_points, sky, job.settings, meter=meter, entry=entry
-            )
-            results.append(result)
-        if job.settings.verify_points:
-            with meter.phase("verify"):
-                shown = (
-                    results[-1].at_elements(results[-1].transfer) if results else receiver.transfer
-                )
-                steps = measure(replace(receiver, transfer=shown), its_points, sky, job.settings)
-                measured = yield from meter.follow("verify", steps)
-            entry["measured_error"] = asdict(measured)
-        entries.append(entry)
-    return tuple(results)
+def _work(job: Job) -> float:
+    """All that is to be done, in points; as ``_bake`` and ``_verify`` count it."""
+    points = sum(len(r.normals) for r in job.receivers) if job.kind == "bake" else 0
+    return max(1.0, points + len(job.receivers) * _verify_work(job))
 
 
-def _bake(
-    receiver: Receiver,
-    points: Points,
-    sky: Occlusion,
-    settings: Settings,
-    *,
-    meter: _Meter,
-    entry: Entry,
-) -> Generator[Progress, None, ReceiverResult]:
-    """Trace ``points`` and write down what it took."""
-    count = len(points.origins)
-    transfer = np.zeros((count, settings.order**2), np.float32)
-    before = dict(meter.seconds)
-    with meter.phase("transfer"):
-        yield from meter.follow("transfer", trace_all(points, sky, settings, transfer))
-    with meter.phase("estimate"):
-        error, pilot_rays = estimate_error(points, sky, settings, transfer)
-        hidden = buried(points.origins, points.normals, transfer, sky)
-        fill(points, receiver, transfer, hidden)
-    spent = {k: meter.seconds[k] - before.get(k, 0.0) for k in ("transfer", "estimate")}
-    rays = count * settings.rays
-    entry.update(
-        points=count,
-        elements=len(points.element_points),
-        buried_points=int(hidden.sum()),
-        rays=rays + pilot_rays,
-        skipped={"the same position and normal": _repeated(points) * settings.rays},
-        seconds=spent,
-        mrays_per_second=rays / max(spent["transfer"], 1e-9) / 1e6,
-        estimated_error=error,
-        measured_error=None,
-    )
-    return ReceiverResult(receiver.name, transfer[:, None], points.element_points)
-
-
-def _rays_expected(job: Job, points: list[Points]) -> int:
-    """Rays that the run will cast, but for the error estimate's few."""
+def _verify_work(job: Job) -> float:
+    """What measuring one receiver is, in points."""
     settings = job.settings
-    baked = sum(len(p.origins) for p in points) * settings.rays if job.kind == "bake" else 0
-    return baked + 2 * settings.verify_points * settings.verify_rays * len(points)
+    return 2 * settings.verify_points * settings.verify_rays / settings.rays
 
 
-def _repeated(points: Points) -> int:
-    """Elements that show a point which another one already shows."""
-    return int((points.element_points >= 0).sum()) - len(points.origins)
+def _bake(scene: Scene, entries: list[Entry]) -> Generator[Progress, None, list[ReceiverResult]]:
+    """Bake every receiver, with an entry of the report for each."""
+    results = []
+    for index, receiver in enumerate(scene.job.receivers):
+        yield scene.meter.progress("prepare")
+        baked = yield from bake(scene, index)
+        scene.meter.work += len(baked.points.origins) - len(receiver.normals)
+        if scene.job.settings.verify_points:
+            yield from _measure_bake(scene, receiver, baked)
+        results.append(baked.result)
+        entries.append(baked.entry)
+    return results
 
 
-def _light_report(projected: light.Projected) -> dict[str, Any]:
-    return {
-        "projection": "cubemap" if projected.is_cubemap else "lat-long",
-        "width": projected.width,
-        "height": projected.height,
-        "repaired": projected.repairs,
-    }
+def _measure_bake(
+    scene: Scene, receiver: Receiver, baked: Baked
+) -> Generator[Progress, None, None]:
+    """Let the report of ``baked`` say what a second look at its points finds."""
+    result = baked.result
+    shown = replace(receiver, transfer=result.at_elements(result.transfer))
+    baked.entry["measured_error"] = yield from _measure(scene, shown, baked.points)
 
 
-def _run_report(job: Job, meter: _Meter) -> dict[str, Any]:
+def _verify(scene: Scene, entries: list[Entry]) -> Generator[Progress, None, None]:
+    """Measure every receiver as it is shown."""
+    for receiver in scene.job.receivers:
+        measured = yield from _measure(scene, receiver, distinct_points(receiver))
+        entries.append({"name": receiver.name, "measured_error": measured})
+
+
+def _measure(scene: Scene, receiver: Receiver, points: Points) -> Generator[Progress, None, Entry]:
+    """The measured errors of what ``receiver`` shows."""
+    settings = scene.job.settings
+    with scene.meter.phase("verify"):
+        steps = measure(receiver, points, scene.occlusion, settings)
+        expected = 2 * settings.verify_points * settings.verify_rays
+        share = _verify_work(scene.job)
+        measured = yield from scene.meter.follow("verify", steps, share, expected)
+    return asdict(measured)
+
+
+def _with_needed_bands(
+    scene: Scene, results: Sequence[ReceiverResult], entries: list[Entry]
+) -> Sequence[ReceiverResult]:
+    """``results`` without the bands that make no difference, where such can be told."""
+    settings = scene.job.settings
+    if not (settings.tolerance or settings.final_light) or not results:
+        return results
+    final = scene.world.radiance_sh if settings.final_light else None
+    order = bands.needed_order(results, settings.tolerance, final)
+    for entry in entries:
+        entry["bands_left_out"] = settings.order - order
+    return [bands.cut(result, order, scene.world.turns_sh) for result in results]
+
+
+def _run_report(job: Job, meter: Meter) -> dict[str, Any]:
     return {
         "versions": versions(),
         "settings": asdict(job.settings),
@@ -179,13 +122,8 @@ def _run_report(job: Job, meter: _Meter) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """What the result was made with."""
-    found = {"prt_baker": VERSION, "python": platform.python_version()}
-    for package in ("numpy", "embreex", "OpenEXR"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+    found = {"prt_baker": VERSION, "python": platform.python_version(), "numpy": np.__version__}
+    return found | {"embreex": rays.version(), "OpenEXR": images.version()}
 
 
 def peak_memory() -> int | None:

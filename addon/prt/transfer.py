@@ -34,6 +34,7 @@ PILOT_POINTS = 1024
 ERROR_OF_DIFFERENCE = 0.325  # of |T(N) - T(N/4)|, pooled: within 10 % of the true error of T(N)
 
 CAST = "cast"
+MAP_RAYS = "cast towards the map's light"
 NOTHING_ABOVE = "nothing stands above the horizon"
 SEES_NOTHING = "the first rays were all blocked"
 KNOWN = "known from another bake"
@@ -283,7 +284,7 @@ def trace_all(
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
             for future in done:
                 counts += future.result()
-            yield counts[CAST]
+            yield counts[CAST] + counts[MAP_RAYS]
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
     return counts

@@ -1,0 +1,215 @@
+"""One receiver: what is known of it already, how many rays it takes, its bake and the report."""
+
+from collections import Counter
+from collections.abc import Generator
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .cache import Cache, Keys
+from .exact_world import World
+from .horizon import Surroundings
+from .job import Job, Progress, ReceiverResult
+from .meter import Meter
+from .points import Points, distinct_points
+from .rays import Occlusion, occlusion
+from .tape import Remembered, Tape
+from .tolerance import FALL, Effort, effort
+from .transfer import CAST, MAP_RAYS, Counts, Shortcuts, estimate_error, trace_all
+from .vertices import Solved, solve
+
+Array = npt.NDArray[np.float32]
+Entry = dict[str, Any]
+
+SAME_PLACE = "the same position and normal"
+UNCHANGED = "nothing has changed since an earlier bake"
+RESULT_ARRAYS = ("transfer", "residual", "visibility", "element_points")
+
+
+class Scene:
+    """What all receivers of a job share."""
+
+    def __init__(self, job: Job, world: World, cache: Cache, meter: Meter) -> None:
+        self.job, self.world, self.cache, self.meter = job, world, cache, meter
+        self._keys = Keys(job)
+        self.surroundings = Surroundings(
+            job.occluder_vertices, job.occluder_triangles, job.occluder_starts
+        )
+
+    @cached_property
+    def occlusion(self) -> Occlusion:
+        """Embree over everything, built when the first ray is cast."""
+        with self.meter.phase("acceleration structure"):
+            return occlusion(self.job.occluder_vertices, self.job.occluder_triangles)
+
+    def keys(self, index: int, points: Points) -> tuple[str, str]:
+        """Names of a receiver's result and of its tape; "" for what is not kept."""
+        if not self.job.settings.cache:
+            return "", ""
+        parts = self.surroundings.reachable(points)
+        result = self._keys.receiver("result", index, parts, self.world.is_exact)
+        if not self.world.is_exact:
+            return result, ""
+        return result, self._keys.receiver("visibility", index, parts, False)
+
+
+@dataclass(frozen=True)
+class Baked:
+    """``result`` and what the report says of it; ``solved`` unless it was known already."""
+
+    result: ReceiverResult
+    entry: Entry
+    points: Points
+    solved: Solved | None = None
+
+
+def bake(scene: Scene, index: int) -> Generator[Progress, None, Baked]:
+    """Bake receiver ``index`` of the scene's job, or find it in the cache."""
+    receiver = scene.job.receivers[index]
+    with scene.meter.phase("prepare"):
+        points = distinct_points(receiver)
+        result_key, tape_key = scene.keys(index, points)
+        known = scene.cache.get(result_key) if result_key else None
+    if known is not None:
+        arrays = (np.array(known.arrays[name]) for name in RESULT_ARRAYS)
+        skipped = {UNCHANGED: known.report["rays"]}
+        entry = {**known.report, "name": receiver.name, "rays": 0, "skipped": skipped}
+        entry.update(seconds={}, mrays_per_second=0.0)
+        transfer, residual, visibility, element_points = arrays
+        scene.meter.done += len(points.origins)
+        result = ReceiverResult(receiver.name, transfer, element_points, residual, visibility)
+        return Baked(result, entry, points)
+    work = _Work(scene, index, points, Tape(scene.cache, tape_key))
+    solved = yield from work.solve()
+    result, entry = work.result(solved), work.entry(solved)
+    if result_key:
+        kept = {name: getattr(result, name) for name in RESULT_ARRAYS}
+        scene.cache.put(result_key, kept, entry)
+    return Baked(result, entry, points, solved)
+
+
+class _Work:
+    """The bake of one receiver.  Where its tape is known only the map's own rays are traced."""
+
+    def __init__(self, scene: Scene, index: int, points: Points, tape: Tape) -> None:
+        self._scene, self._points, self._tape = scene, points, tape
+        self._receiver, self._settings = scene.job.receivers[index], scene.job.settings
+        self._occlusion = Remembered(lambda: scene.occlusion, tape)
+        self._counts: Counts = Counter()
+        self._before = dict(scene.meter.seconds)
+        with scene.meter.phase("prepare"):
+            horizon = scene.surroundings.horizon(self._receiver, points)
+        self._shortcuts = Shortcuts(horizon, known=tape.known)
+        self._effort = Effort(self._settings.rays)
+        self._error = 0.0
+
+    def solve(self) -> Generator[Progress, None, Solved]:
+        """Trace and solve."""
+        meter, points, tape = self._scene.meter, self._points, self._tape
+        if tape.known:
+            self._effort, self._error = Effort(**tape.report["effort"]), tape.report["error"]
+        else:
+            with meter.phase("effort"):
+                steps = effort(points, self._occlusion, self._settings, self._shortcuts)
+                self._effort = yield from meter.follow("effort", steps, 0, 1)
+            self._counts[CAST] += self._effort.cast
+        self._shortcuts = replace(self._shortcuts, pilot=self._effort.pilot)
+        expected = len(points.origins) * (self._effort.rays + self._map_rays())
+        with meter.phase("transfer"):
+            found = solve(
+                self._receiver,
+                points,
+                self._trace,
+                self._occlusion,
+                self._settings,
+                rays=self._effort.rays,
+                noise=self._effort.noise,
+            )
+            solved = yield from meter.follow("transfer", found, len(points.origins), expected)
+        if not tape.known:
+            with meter.phase("estimate"):
+                self._estimate(solved)
+            tape.save({"effort": asdict(self._effort), "error": self._error})
+        return solved
+
+    def _map_rays(self) -> float:
+        """About how many rays a point traces towards the map's light."""
+        settings = self._settings
+        return settings.turns * settings.map_rays / 2 if self._scene.world.is_exact else 0.0
+
+    def _trace(self, origins: Array, normals: Array, rays: int) -> Generator[int, None, Array]:
+        """Transfer and residuals (M, n² + 3 turns) at ``origins`` (M, 3)."""
+        world, coefficients = self._scene.world.exact, self._settings.order**2
+        gather = world.gather if world else None
+        columns = coefficients + (gather.columns if gather else 0)
+        values = np.empty((len(origins), columns), np.float32)
+        bits = self._tape.visibility(len(origins), rays)
+        self._counts += yield from trace_all(
+            Points(origins, normals, np.empty(0, np.int32)),
+            self._occlusion,
+            replace(self._settings, rays=rays),
+            values,
+            shortcuts=replace(self._shortcuts, bits=bits),
+            gather=gather,
+        )
+        if world is not None:
+            world.leave_residuals(values, coefficients)
+        return values
+
+    def _estimate(self, solved: Solved) -> None:
+        """The error at the traced places, pooled: found for those with the most usual number of
+        rays, and for the others by how it falls with rays."""
+        traced, coefficients = solved.traced, self._settings.order**2
+        if not len(traced.split):
+            return
+        usual = int(np.bincount(traced.split).argmax())
+        mine = traced.split == usual
+        places = Points(traced.origins[mine], traced.normals[mine], self._points.element_points[:0])
+        settings = replace(self._settings, rays=self._effort.rays // usual)
+        transfer = traced.values[mine, :coefficients]
+        error, cast = estimate_error(places, self._occlusion, settings, transfer)
+        others = (traced.split / usual) ** FALL
+        self._error = error * float(np.sqrt(np.mean(others**2)))
+        self._counts[CAST] += cast
+
+    def result(self, solved: Solved) -> ReceiverResult:
+        """The values of ``solved``, apart."""
+        coefficients, values = self._settings.order**2, solved.values
+        transfer, rest = values[:, :coefficients], values[:, coefficients:]
+        turns = rest.shape[1] // 3
+        return ReceiverResult(
+            self._receiver.name,
+            np.ascontiguousarray(transfer[:, None]),
+            self._points.element_points,
+            np.ascontiguousarray(rest.reshape(len(rest), turns, 3)),
+        )
+
+    def entry(self, solved: Solved) -> Entry:
+        """What the report says of the receiver."""
+        count, meter = len(self._points.origins), self._scene.meter
+        repeated = int((self._points.element_points >= 0).sum()) - count
+        names = {CAST, MAP_RAYS}
+        skipped = {name: rays for name, rays in self._counts.items() if name not in names and rays}
+        cast = self._counts[CAST] + self._counts[MAP_RAYS]
+        spent = {k: v - self._before.get(k, 0.0) for k, v in meter.seconds.items()}
+        rest = {k: v for k, v in solved.entry.items() if k != "rays"}
+        between = rest.get("interpolation_error")
+        return {
+            "name": self._receiver.name,
+            "points": count,
+            "elements": len(self._points.element_points),
+            "samples": len(solved.traced.split),
+            "rays": cast,
+            "map_rays": self._counts[MAP_RAYS],
+            "rays_per_point": self._effort.rays,
+            "skipped": {SAME_PLACE: repeated * self._effort.rays, **skipped},
+            "seconds": {k: v for k, v in spent.items() if v > 0},
+            "mrays_per_second": cast / max(spent.get("transfer", 0.0), 1e-9) / 1e6,
+            "estimated_error": self._error,
+            "surface_error": None if between is None else float(np.hypot(self._error, between)),
+            "measured_error": None,
+            **rest,
+        }

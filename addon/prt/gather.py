@@ -1,0 +1,76 @@
+"""What is found beside the transfer, from its rays and some of the map: the exact light."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from .exact import ExactLight
+from .rays import Occlusion
+from .transfer import MAP_RAYS, NOTHING_ABOVE, Batch, Counts
+
+Array = npt.NDArray[np.float32]
+Index = npt.NDArray[np.int64]
+
+MIX = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio: Knuth's multiplicative hash
+
+
+class LightGather:
+    """Exit radiance of white surfaces under ``lights``, three columns each."""
+
+    def __init__(self, lights: Sequence[ExactLight], seed: int) -> None:
+        self._lights, self._seed = lights, seed
+
+    @property
+    def columns(self) -> int:
+        """Three for each light."""
+        return 3 * len(self._lights)
+
+    def __call__(self, batch: Batch, occlusion: Occlusion) -> tuple[Array, Counts]:
+        """The columns of the batch's points, and the rays of the map that they took."""
+        counts: Counts = Counter()
+        found = []
+        for k, light in enumerate(self._lights):
+            picks = self._picks(batch.numbers, k)
+            point, directions = light.candidates(batch.normals, picks)
+            visible = _sees(batch, point, directions, occlusion, counts)
+            found.append(
+                light.exit_radiance(
+                    batch.normals,
+                    batch.cosines,
+                    batch.directions,
+                    batch.visible,
+                    point,
+                    visible,
+                    picks,
+                )
+            )
+        return np.concatenate(found, axis=1), counts
+
+    def _picks(self, numbers: Index, k: int) -> Index:
+        """A number of no pattern for every point."""
+        mixed = (numbers.astype(np.uint64) + np.uint64(1 + 7919 * k + self._seed)) * np.uint64(MIX)
+        return (mixed >> np.uint64(33)).astype(np.int64)
+
+
+def _sees(
+    batch: Batch,
+    point: npt.NDArray[np.int32],
+    directions: Array,
+    occlusion: Occlusion,
+    counts: Counts,
+) -> Array:
+    """Which of ``directions`` (R, 3) from the batch's points ``point`` (R,) reach the sky, 1 or
+    0."""
+    visible = np.ones(len(point), np.float32)
+    traced = np.arange(len(point))
+    if batch.open_above <= 1:
+        cosine = np.einsum("rc,rc->r", directions, batch.normals[point])
+        traced = np.flatnonzero(cosine <= batch.open_above)
+        counts[NOTHING_ABOVE] += len(point) - len(traced)
+    origins = batch.origins[point[traced]]
+    if len(origins):
+        visible[traced] = -occlusion.sky_mask(origins, directions[traced])
+        counts[MAP_RAYS] += len(origins)
+    return visible
