@@ -92,7 +92,9 @@ def run_light(source: jobs.LightSource) -> Any:
 
 
 def _start(folder: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-I", "-B", "-c", BOOT, str(folder), *_child_path()]
+    # Its modules' bytecode lies where Blender, which imports some of them, puts it too
+    flags = ["-I", "-B"] if sys.dont_write_bytecode else ["-I"]
+    command = [sys.executable, *flags, "-c", BOOT, str(folder), *_child_path()]
     with (folder / "stderr.txt").open("wb") as errors:
         return subprocess.Popen(
             command,
