@@ -26,7 +26,7 @@ def build(hdri: Path, turn_degrees: float) -> bpy.types.Scene:
     """A new file with the demo's scene, its meshes selected."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    ground = _add_mesh("Ground", *_grid_plane(220, 14.0))
+    ground = add_mesh("Ground", *_grid_plane(220, 14.0))
     ground.data.materials.append(_material("Ground", GROUND))
     for name, (colour, place, turn, scale) in SHAPES.items():
         shape = _shape(name)
@@ -57,7 +57,7 @@ def _shape(name: str) -> bpy.types.Object:
     elif name == "Ball":
         add.primitive_uv_sphere_add(segments=128, ring_count=64)
     elif name == "Pawn":
-        return _add_mesh(name, *_revolved(PAWN, 96, 6))
+        return add_mesh(name, *_revolved(PAWN, 96, 6))
     else:
         add.primitive_cube_add(size=1)
         _refine(48)
@@ -107,7 +107,8 @@ def _grid_plane(count: int, size: float) -> tuple[np.ndarray, np.ndarray]:
     return vertices, faces
 
 
-def _add_mesh(name: str, vertices: np.ndarray, faces: np.ndarray) -> bpy.types.Object:
+def add_mesh(name: str, vertices: np.ndarray, faces: np.ndarray) -> bpy.types.Object:
+    """A smooth mesh of vertices (V, 3) and faces in the scene."""
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(vertices, [], faces.tolist(), shade_flat=False)
     obj = bpy.data.objects.new(name, mesh)
