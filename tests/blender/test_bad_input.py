@@ -224,17 +224,19 @@ def ball_over_boxes(matrix, applied):
 
 
 def test_a_mirrored_object_is_baked_as_its_mirrored_mesh(scene, out):
+    """But for the noise: a mirrored mesh's triangles run the other way round, and what is traced
+    inside of them lies elsewhere."""
     mirror = Matrix.Translation((0.5, 0, 0.3)) @ Matrix.Diagonal((-1, 1, 1, 1))
     new_world(scene)
     baked = []
     for applied in (False, True):
         obj = ball_over_boxes(mirror, applied)
-        assert bake(out, "--object", obj.name) == 0
+        assert bake(out, "--object", obj.name, "--rays", 1024) == 0
         baked.append(transfer(obj))
         for other in list(scene.objects):
             bpy.data.objects.remove(other)
     assert np.ptp(baked[0][:, 0]) > 0.2, "some of it is in shadow"
-    np.testing.assert_allclose(*baked, atol=1e-5)
+    np.testing.assert_allclose(*baked, atol=2e-3)
 
 
 def test_a_broken_neighbour_is_left_out_and_counted(scene, out):
