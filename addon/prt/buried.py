@@ -7,10 +7,12 @@ a contact, and a crevice (the rim of Suzanne's eyes) must not be lit by what lie
 """
 
 from math import pi
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from . import sh
 from .hemisphere import RaysInWorld, cosine_fibonacci, frames
 from .job import Receiver
 from .points import Points, element_triangles
@@ -20,14 +22,18 @@ Array = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 RAYS = 16
+OPEN = float(sh.open_transfer([0.0, 0.0, 1.0], 1)[0])
+CRACK = 1 / 256  # of the open sky
 CHUNK = 4096  # points
 
 
-def buried(origins: Array, normals: Array, transfer: npt.NDArray, occlusion: Occlusion) -> Mask:  # type: ignore[type-arg]
-    """Which points (P, 3) see no sky, ``transfer`` (P, ...) being 0, but mostly the backs of
-    triangles."""
+def buried(
+    origins: Array, normals: Array, transfer: npt.NDArray[Any], occlusion: Occlusion
+) -> Mask:
+    """Which points (P, 3) with ``transfer`` (P, ...) see no sky but through a crack, and mostly the
+    backs of triangles."""
     found = np.zeros(len(origins), bool)
-    dark = np.flatnonzero(~transfer.reshape(len(transfer), -1).any(axis=1))
+    dark = np.flatnonzero(_dark(transfer))
     in_world = RaysInWorld(cosine_fibonacci(RAYS).astype(np.float32))
     for start in range(0, len(dark), CHUNK):
         some = dark[start : start + CHUNK]
@@ -40,9 +46,15 @@ def buried(origins: Array, normals: Array, transfer: npt.NDArray, occlusion: Occ
     return found
 
 
-def rays_for(transfer: npt.NDArray) -> int:  # type: ignore[type-arg]
+def rays_for(transfer: npt.NDArray[Any]) -> int:
     """The rays that ``buried`` casts for points with ``transfer`` (P, ...)."""
-    return RAYS * int((~transfer.reshape(len(transfer), -1).any(axis=1)).sum())
+    return RAYS * int(_dark(transfer).sum())
+
+
+def _dark(transfer: npt.NDArray[Any]) -> Mask:
+    """Where the mean of the sky that is seen, the first coefficient, is next to nothing."""
+    rows = transfer.reshape(len(transfer), -1)
+    return np.asarray(rows[:, :1].sum(axis=1) <= CRACK * OPEN)
 
 
 def fill(points: Points, receiver: Receiver, transfer: Array, hidden: Mask) -> None:

@@ -7,7 +7,7 @@ singular, and noise in it; so the jump of the gradient across every edge is held
 weight that predicts samples which were left out best.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from .fit_mesh import (
     Array,
     Mesh,
     Quadratic,
+    excerpt,
     interpolated,
     jump_form,
     lumped,
@@ -32,6 +33,7 @@ STEPS = 60
 ROWS = 8192  # in one block of a product: it stays in the processor's cache
 WEIGHTS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)  # of the gradient's jumps
 LEFT_OUT = 5  # every fifth sample tests a weight
+STRETCHES, STRETCH = 12, 4096  # points that choose the weights of a large mesh
 
 
 class System:
@@ -133,34 +135,50 @@ class Samples:
 
 
 class Fit:
-    """Fits of values at the points of a ``mesh``, whose hinges lie in ``hinge_parts`` (H,) of
-    ``parts`` parts; each part has its own weight of the gradient's jumps."""
+    """Fits of values at the points of a ``mesh``, whose points lie in ``parts`` (P,), numbered
+    below ``count``; each part has its own weight of the gradient's jumps."""
 
-    def __init__(self, mesh: Mesh, hinge_parts: Index, parts: int) -> None:
-        self._mesh, self._hinge_parts, self._parts = mesh, hinge_parts, parts
+    def __init__(self, mesh: Mesh, parts: Index, count: int) -> None:
+        self._mesh, self._parts, self._count = mesh, parts, count
         self._system = System(mesh)
 
-    def weights(self, samples: Samples, columns: int) -> tuple[Float, Float]:
-        """For each part the weight out of ``WEIGHTS`` that predicts the first ``columns`` values of
-        samples left out best, and the mean square of what it then misses."""
+    def solve(self, samples: Samples, weights: Float) -> Array:
+        """Values (P, K) at the points that fit those of the samples, with each part's weight."""
+        places, areas, values = samples.places, samples.areas, samples.values
+        data = sample_form(self._mesh, places, areas)
+        jumps = jump_form(self._mesh, weights[self._parts[self._mesh.hinges[:, 0]]])
+        self._system.set(data, jumps)
+        right = right_side(self._mesh, places, areas, values)
+        return self._system.solve(right, lumped(self._mesh, places, areas, values))
+
+    def missed(self, samples: Samples) -> Float:
+        """For each of ``WEIGHTS`` and each part (W, count) the mean square of what a fit misses at
+        samples that were left out; that of all parts where a part has none."""
         rank = np.cumsum(samples.spare)
         out = samples.spare & (rank % LEFT_OUT == LEFT_OUT // 2)
         kept, tests = samples[~out], samples[out]
-        size = np.maximum(np.bincount(tests.parts, tests.areas, self._parts), 1e-300)
-        errors = []
-        for weight in WEIGHTS:
-            values = self.solve(kept, np.full(self._parts, weight), columns)
-            missed = interpolated(self._mesh, tests.places, values) - tests.values[:, :columns]
+        size = np.bincount(tests.parts, tests.areas, self._count)
+        errors = np.empty((len(WEIGHTS), self._count))
+        for i, weight in enumerate(WEIGHTS):
+            values = self.solve(kept, np.full(self._count, weight))
+            missed = interpolated(self._mesh, tests.places, values) - tests.values
             squares = tests.areas * np.square(missed, dtype=np.float64).mean(axis=1)
-            errors.append(np.bincount(tests.parts, squares, self._parts) / size)
-        best = np.argmin(errors, axis=0)
-        return np.array(WEIGHTS)[best], np.min(errors, axis=0)
+            errors[i] = np.bincount(tests.parts, squares, self._count)
+        pooled = errors.sum(axis=1, keepdims=True) / max(float(size.sum()), 1e-300)
+        return np.where(size > 0, errors / np.where(size > 0, size, 1), pooled)
 
-    def solve(self, samples: Samples, weights: Float, columns: int | None = None) -> Array:
-        """Values (P, K) at the points that fit the first ``columns`` of the samples', with each
-        part's weight of the jumps."""
-        places, areas, values = samples.places, samples.areas, samples.values[:, :columns]
-        data = sample_form(self._mesh, places, areas)
-        self._system.set(data, jump_form(self._mesh, weights[self._hinge_parts]))
-        right = right_side(self._mesh, places, areas, values)
-        return self._system.solve(right, lumped(self._mesh, places, areas, values))
+
+def best_weights(mesh: Mesh, samples: Samples, parts: Index, count: int) -> tuple[Float, Float]:
+    """For each part the weight of the jumps that predicts samples left out best, and the mean
+    square of what it then misses.  A large mesh is judged by some stretches of its points, which
+    lie together because they are numbered along a Z curve."""
+    if mesh.count > 2 * STRETCHES * STRETCH:
+        keep = np.arange(mesh.count) % (mesh.count // STRETCHES) < STRETCH
+        inside = keep[mesh.corners].all(axis=1)
+        number = np.cumsum(inside) - 1
+        mesh, parts = excerpt(mesh, keep), parts[keep]
+        samples = samples[inside[samples.places.triangles]]
+        places = Places(number[samples.places.triangles], samples.places.barycentric)
+        samples = replace(samples, places=places)
+    errors = Fit(mesh, parts, count).missed(samples)
+    return np.array(WEIGHTS)[np.argmin(errors, axis=0)], np.min(errors, axis=0)

@@ -63,6 +63,25 @@ def mesh_of(corners: Index, positions: Float, areas: Float, count: int) -> Mesh:
     )  # fmt: skip
 
 
+def excerpt(mesh: Mesh, keep: npt.NDArray[np.bool_]) -> Mesh:
+    """What of ``mesh`` lies among the points ``keep`` (P,), with points, edges and triangles
+    numbered anew."""
+    points, edge = np.cumsum(keep) - 1, keep[mesh.edges].all(axis=1)
+    triangle, hinge = keep[mesh.corners].all(axis=1), keep[mesh.hinges].all(axis=1)
+    edges = np.cumsum(edge) - 1
+    return Mesh(
+        int(keep.sum()),
+        points[mesh.corners[triangle]],
+        mesh.areas[triangle],
+        points[mesh.edges[edge]],
+        edges[mesh.sides[triangle]],
+        points[mesh.hinges[hinge]],
+        mesh.jumps[hinge],
+        mesh.hinge_areas[hinge],
+        edges[mesh.hinge_sides[hinge]],
+    )
+
+
 def _heights(positions: Float, areas: Float, triangle: Index, side: Index) -> tuple[Float, Float]:
     """For both triangles (H, 2) at an edge: how far along it the third corner's foot lies, from
     where that triangle's side starts, and the corner's height."""

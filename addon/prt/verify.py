@@ -4,66 +4,82 @@ The reference knows nothing of the baker's short cuts: each point sums the basis
 directions, with a ray each, in float64 and without the correction.
 """
 
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from . import sh
-from .buried import buried
+from .buried import buried, rays_for
 from .hemisphere import cosine_fibonacci, frames
 from .job import Receiver, Settings
-from .points import Points, Surface, element_triangles, lift, surface_bias
+from .points import Float, Points, Surface, element_triangles
 from .rays import Occlusion
+from .samples import random_places, starts
+from .traced import Traced
 from .transfer import relative_rms
 
-Float = npt.NDArray[np.float64]
+EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 13), [np.inf]])  # of relative errors
+
+
+@dataclass(frozen=True)
+class Light:
+    """The light that was baked: ``radiance_sh`` (n², 3), and ``exact``, which takes places and unit
+    normals (P, 3) to the exit radiance (P, 3) of a white surface there."""
+
+    radiance_sh: Float
+    exact: Callable[[Float, Float], Float]
 
 
 @dataclass(frozen=True)
 class Measured:
     """Relative RMS errors of the transfer: ``at_points``, where it was traced (the rays' noise),
-    and ``on_surface``, between the vertices too (noise and the mesh's coarseness)."""
+    and ``on_surface``, between the vertices too (noise and the mesh's coarseness); ``histogram``
+    of the latter, point by point: ``counts`` between ``edges``, the last of them without end; and
+    the same two errors of the exit radiance at the baked light, None without one."""
 
     at_points: float
     on_surface: float
     points: int
     rays: int
+    histogram: dict[str, list[Any]]
+    light_at_points: float | None = None
+    light_on_surface: float | None = None
 
 
 @dataclass(frozen=True)
-class SurfacePoints:
-    """Random points of a surface: ray origins (P, 3), shading normals (P, 3), and the transfer
-    (P, channels, n²) that the mesh shows there."""
+class Shown:
+    """Places, ``origins`` and ``normals`` (P, 3), and what is shown there: transfer (P, channels,
+    n²), and residual (P, 3) or None."""
 
     origins: Float
     normals: Float
-    shown: Float
+    transfer: Float
+    residual: Float | None
 
 
-def random_surface_points(receiver: Receiver, count: int, seed: int) -> SurfacePoints:
+def random_surface_points(receiver: Receiver, count: int, seed: int) -> Shown:
     """``count`` points, uniform over the area of ``receiver``, which has its transfer."""
     assert receiver.transfer is not None
-    rng = np.random.default_rng([seed, count])
-    surface = Surface.of(receiver)
-    share = np.cumsum(surface.areas)
-    triangle = np.searchsorted(share, rng.random(count) * share[-1])
-    u, v = rng.random((2, count))
-    outside = u + v > 1
-    u, v = np.where(outside, 1 - u, u), np.where(outside, 1 - v, v)
-    barycentric = np.stack([1 - u - v, u, v], axis=1)
-    elements = element_triangles(receiver)[triangle]
-    corners = surface.corners[triangle]
-    corner_normals = receiver.normals[elements].astype(np.float64)
-    normals = np.einsum("pk,pkc->pc", barycentric, corner_normals)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    inside = np.einsum("pk,pkc->pc", barycentric, corners)
-    lifts = [lift(inside, corners[:, k], corner_normals[:, k]) for k in range(3)]
-    lifted = inside + np.einsum("pk,kpc->pc", barycentric, np.array(lifts))
-    origins = lifted + surface_bias(corners) * surface.normals[triangle]
-    shown = np.einsum("pk,pkci->pci", barycentric, receiver.transfer[elements].astype(np.float64))
-    return SurfacePoints(origins, normals, shown)
+    surface, rows = Surface.of(receiver), element_triangles(receiver)
+    places = random_places(surface.areas, count, seed)
+    origins, normals = starts(surface, rows, receiver.normals, places)
+    elements = rows[places.triangles]
+
+    def shown(values: npt.NDArray[Any]) -> Float:
+        corners = values[elements].astype(np.float64)
+        return np.asarray(np.einsum("pk,pk...->p...", places.barycentric, corners))
+
+    residual = receiver.residual
+    has_residual = residual is not None and residual.shape[1]
+    return Shown(
+        origins,
+        normals,
+        shown(receiver.transfer),
+        shown(residual[:, 0]) if residual is not None and has_residual else None,
+    )
 
 
 def brute_force(
@@ -87,34 +103,94 @@ def measure(
     points: Points,
     occlusion: Occlusion,
     settings: Settings,
+    *,
+    traced: Traced | None = None,
+    light: Light | None = None,
 ) -> Generator[int, None, Measured]:
-    """Trace ``verify_points`` random points of the surface, and as many of the baked ones, again.
+    """Trace ``verify_points`` random points of the surface, and as many of the places that were
+    ``traced`` (the points, where that isn't known), again.
 
-    Yields the rays cast so far; the errors are the generator's value.  Points inside of other
+    Yields the rays cast so far; the errors are the generator's value.  Places inside of other
     things, which nobody sees, don't count.
     """
-    assert receiver.transfer is not None
     count = settings.verify_points
     surface = random_surface_points(receiver, count, settings.seed)
-    chosen = np.unique(np.linspace(0, len(points.origins) - 1, count).astype(np.int64))
-    baked = _baked_at(receiver, points, chosen)
-    origins = np.concatenate([surface.origins, points.origins[chosen]])
-    normals = np.concatenate([surface.normals, points.normals[chosen]])
+    at = _at_points(receiver, points, count) if traced is None else _at_traced(traced, settings)
+    origins = np.concatenate([surface.origins, at.origins])
+    normals = np.concatenate([surface.normals, at.normals])
     reference = np.empty((len(origins), settings.order**2))
     yield from brute_force(origins, normals, occlusion, settings, reference)
-    shown = np.concatenate([surface.shown, baked])
-    expected = np.repeat(reference[:, None], shown.shape[1], axis=1)
     seen = ~buried(origins.astype(np.float32), normals.astype(np.float32), reference, occlusion)
-    where = np.arange(len(origins)) < count
-    on_surface = relative_rms(shown[seen & where], expected[seen & where])
-    at_points = relative_rms(shown[seen & ~where], expected[seen & ~where])
-    return Measured(at_points, on_surface, len(origins), len(origins) * settings.verify_rays)
+    here, there = slice(count, None), slice(count)
+    at_points, _, light_at_points = _errors(at, reference[here], seen[here], light)
+    on_surface, each, light_on_surface = _errors(surface, reference[there], seen[there], light)
+    return Measured(
+        at_points,
+        on_surface,
+        len(origins),
+        len(origins) * settings.verify_rays + rays_for(reference),
+        {"edges": EDGES[:-1].tolist(), "counts": np.histogram(each, EDGES)[0].tolist()},
+        light_at_points,
+        light_on_surface,
+    )
 
 
-def _baked_at(receiver: Receiver, points: Points, chosen: npt.NDArray[np.int64]) -> Float:
-    """What the receiver's elements show at the ``chosen`` points."""
+def _errors(
+    shown: Shown, reference: Float, seen: npt.NDArray[np.bool_], light: Light | None
+) -> tuple[float, Float, float | None]:
+    """Relative RMS error of the transfer where it is ``seen``, each place's own (S,), relative to
+    the RMS size of all, and that of the exit radiance."""
+    expected = np.repeat(reference[:, None], shown.transfer.shape[1], axis=1)[seen]
+    squares = np.square(shown.transfer[seen] - expected).mean(axis=(1, 2))
+    size = max(float(np.square(expected).mean()) if expected.size else 0.0, 1e-300)
+    of_light = None
+    if light is not None:
+        exact = light.exact(shown.origins[seen], shown.normals[seen])
+        of_light = relative_rms(exit_radiance(shown, light)[seen], exact)
+    of_transfer = relative_rms(shown.transfer[seen], expected)
+    return of_transfer, np.sqrt(np.minimum(squares / size, 1e6)), of_light
+
+
+def exit_radiance(shown: Shown, light: Light) -> Float:
+    """What the bake shows at ``shown`` under the light it was baked for, (P, 3)."""
+    radiance = np.asarray(light.radiance_sh, np.float64)
+    channels = np.broadcast_to(shown.transfer, (len(shown.transfer), 3, radiance.shape[0]))
+    values = np.einsum("pci,ic->pc", channels, radiance)
+    if shown.residual is not None:
+        values = values + shown.residual
+    return np.asarray(np.maximum(values, 0))
+
+
+def _at_points(receiver: Receiver, points: Points, count: int) -> Shown:
+    """What the receiver's elements show at ``count`` of the points."""
     assert receiver.transfer is not None
+    chosen = _spread(len(points.origins), count)
     element = np.zeros(len(points.origins), np.int64)
     seen = np.flatnonzero(points.element_points >= 0)
     element[points.element_points[seen]] = seen
-    return np.asarray(receiver.transfer[element[chosen]], np.float64)
+    rows = element[chosen]
+    residual = receiver.residual
+    return Shown(
+        points.origins[chosen].astype(np.float64),
+        points.normals[chosen].astype(np.float64),
+        receiver.transfer[rows].astype(np.float64),
+        None if residual is None or not residual.shape[1] else residual[rows, 0],
+    )
+
+
+def _at_traced(traced: Traced, settings: Settings) -> Shown:
+    """What was found at some of the places that were traced."""
+    chosen, columns = _spread(len(traced.origins), settings.verify_points), settings.order**2
+    values = traced.values[chosen].astype(np.float64)
+    residual = values[:, columns : columns + 3]
+    return Shown(
+        traced.origins[chosen].astype(np.float64),
+        traced.normals[chosen].astype(np.float64),
+        values[:, None, :columns],
+        residual if residual.shape[1] == 3 else None,
+    )
+
+
+def _spread(size: int, count: int) -> npt.NDArray[np.int64]:
+    """At most ``count`` numbers spread over those below ``size``."""
+    return np.unique(np.linspace(0, max(0, size - 1), min(count, size)).astype(np.int64))

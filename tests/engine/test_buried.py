@@ -60,7 +60,7 @@ def test_what_sees_the_sky_is_never_buried():
 
 def bake(fit):
     receiver, vertices, triangles = floor_and_crate()
-    settings = Settings(verify_points=200, fit=fit)
+    settings = Settings(verify_points=1000, verify_rays=2048, fit=fit)
     job = Job("bake", settings, LightSource(), (receiver,), vertices, triangles)
     steps = run(job)
     while True:
@@ -96,24 +96,28 @@ def test_the_first_ring_takes_what_lies_outside(baked):
 
 
 def test_a_fit_darkens_towards_the_crate_and_no_further(fitted):
-    """The floor at the foot of a wall sees half of the sky."""
+    """The floor at the foot of a wall sees half of the sky; the values of a crossing triangle's
+    inner corners go on from there."""
     receiver, results = fitted
     shown = results.receivers[0].at_elements(results.receivers[0].transfer)[:, 0, 0]
     places = receiver.vertices[receiver.corner_vertices]
     border = inside(places) & (np.abs(places[:, :2]).max(axis=1) > 0.4)
     deep = np.abs(places[:, :2]).max(axis=1) < 0.2
-    assert shown[border].min() > 0.4 * shown.max()
+    assert shown[border].min() > 0.25 * shown.max()
     assert not shown[deep].any()
 
 
-@pytest.mark.parametrize("name", ["baked", "fitted"])
-def test_unseen_points_do_not_count_as_errors(name, request):
-    _, results = request.getfixturevalue(name)
-    assert results.report["objects"][0]["measured_error"]["on_surface"] < 0.1
+def on_surface(results):
+    return results.report["objects"][0]["measured_error"]["on_surface"]
+
+
+def test_unseen_points_do_not_count_as_errors(baked, fitted):
+    assert on_surface(baked[1]) < 0.1
+    assert on_surface(fitted[1]) < 1.05 * on_surface(baked[1])
 
 
 def test_the_rays_that_look_for_backs_are_known():
-    some = np.array([[0.0, 0], [0, 1], [0, 0]], np.float32)
+    some = np.array([[0.0, 0], [1, 0], [0, 0]], np.float32)
     sky = Counting()
     buried.buried(np.zeros((3, 3), np.float32), np.eye(3, dtype=np.float32), some, sky)
     assert sky.rays == buried.rays_for(some) == 2 * buried.RAYS

@@ -1,0 +1,158 @@
+"""Values of points from what was traced, with and without a fit, and how wrong they are."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import sh
+from .fit import Fit, Samples, best_weights
+from .fit_mesh import interpolated
+from .parts import Parts, buried_points
+from .points import Float, Points
+from .traced import Array, Mask, Traced, part_of
+
+
+@dataclass
+class Errors:
+    """Mean squares, for each part (count,): of the transfer, ``size``; of its error over the
+    surface, ``surface``; and of what the noise has to do with that, ``noise``."""
+
+    size: Float
+    surface: Float
+    noise: Float
+
+
+class Values:
+    """Turns what was traced into values of the points."""
+
+    def __init__(
+        self, points: Points, parts: Parts, fitted: Mask, order: int, noise: float
+    ) -> None:
+        self._parts, self._order, self._noise, self._fitted = parts, order, noise, fitted
+        self._open = sh.open_transfer(points.normals, order).astype(np.float32)
+        self._fit_errors = Errors(*np.zeros((3, parts.count)))
+
+    def values(self, traced: Traced, unseen: Mask) -> tuple[Array, Mask]:
+        """Values (P, K), and the points that are buried, with values of 0."""
+        parts = self._parts
+        values = np.zeros((parts.mesh.count, traced.values.shape[1]), np.float32)
+        hidden = np.zeros(len(values), bool)
+        at = traced.point >= 0
+        values[traced.point[at]] = traced.values[at]
+        hidden[traced.point[at]] = unseen[at]
+        mine = self._fitted[part_of(parts, traced)]
+        if mine.any():
+            points = self._fitted[parts.of_points]
+            values[points] = self._fit(traced[mine & ~unseen])[points]
+            places = traced.places
+            found = buried_points(parts.mesh, places[mine & ~unseen], places[mine & unseen])
+            hidden[points] = found[points]
+        values[hidden] = 0
+        return values, hidden
+
+    def left_out(self, traced: Traced) -> Errors:
+        """What a fit to ``traced`` misses where samples are left out, without their own noise."""
+        samples, _ = self._samples(traced)
+        transfer = replace(samples, values=samples.values[:, : self._order**2])
+        mesh, parts = self._parts.mesh, self._parts
+        _, missed = best_weights(mesh, transfer, parts.of_points, parts.count)
+        return self._errors(traced, samples, missed, np.zeros((mesh.count, 1), np.float32))
+
+    def _samples(self, traced: Traced) -> tuple[Samples, Array]:
+        """What is fitted to, the deviation of ``traced`` from an open sky's transfer that is dimmed
+        to what each part sees of it in the mean; and that transfer (P, n²)."""
+        parts, columns = self._parts, self._order**2
+        of, areas = part_of(parts, traced), self._areas(traced)
+        open_here = interpolated(parts.mesh, traced.places, self._open)
+        sums = [
+            np.bincount(of, areas * np.einsum("sk,sk->s", values, open_here), parts.count)
+            for values in (traced.values[:, :columns], open_here)
+        ]
+        gain = (sums[0] / np.maximum(sums[1], 1e-30)).astype(np.float32)
+        deviation = traced.values.copy()
+        deviation[:, :columns] -= gain[of][:, None] * open_here
+        samples = Samples(traced.places, deviation, areas, of, traced.point < 0)
+        return samples, gain[parts.of_points][:, None] * self._open
+
+    def _fit(self, traced: Traced) -> Array:
+        """Values (P, K) fitted to ``traced``."""
+        mesh, parts, columns = self._parts.mesh, self._parts, self._order**2
+        samples, dimmed = self._samples(traced)
+        transfer = replace(samples, values=samples.values[:, :columns])
+        weights, missed = best_weights(mesh, transfer, parts.of_points, parts.count)
+        noise = traced.noisier * np.random.default_rng(0).standard_normal(len(samples.areas))
+        columns_and_noise = [samples.values, noise[:, None].astype(np.float32)]
+        samples = replace(samples, values=np.concatenate(columns_and_noise, axis=1))
+        values = Fit(mesh, parts.of_points, parts.count).solve(samples, weights)
+        self._fit_errors = self._errors(traced, samples, missed, values[:, -1:])
+        values[:, :columns] += dimmed
+        values[:, 0] = np.maximum(values[:, 0], 0)
+        return values[:, :-1]
+
+    def _errors(self, traced: Traced, samples: Samples, missed: Float, noise: Array) -> Errors:
+        """What ``samples`` say of a fit: ``missed`` (count,) is the mean square of what it misses
+        where samples were left out, ``noise`` (P, 1) what it makes of noise alone."""
+        areas = np.where(samples.spare, samples.areas, 0)
+        weight = np.maximum(np.bincount(samples.parts, areas, self._parts.count), 1e-300)
+
+        def mean(values: npt.NDArray[Any]) -> Float:
+            sums = np.bincount(samples.parts, areas * values, self._parts.count)
+            return np.asarray(sums / weight)
+
+        size = mean(squares(traced.values[:, : self._order**2]))
+        of_places = self._noise**2 * size * mean(traced.noisier**2)
+        shown = interpolated(self._parts.mesh, traced.places, noise)
+        of_noise = self._noise**2 * size * mean(squares(shown))
+        return Errors(size, np.maximum(missed - of_places, of_noise), of_noise)
+
+    def _areas(self, traced: Traced) -> Float:
+        """The area (M,) that each place stands for."""
+        parts, of = self._parts, part_of(self._parts, traced)
+        density = np.ones(len(parts.mesh.corners))
+        for triangles in parts.triangles():
+            density[triangles] = parts.density(triangles)
+        count = np.maximum(np.bincount(of, minlength=parts.count), 1)
+        inside = (parts.surface.areas / density)[traced.places.triangles]
+        at_points = (parts.point_areas() * parts.sizes()[parts.of_points])[traced.point]
+        return np.where(traced.point < 0, inside, at_points) / count[of]
+
+    def report(self, traced: Traced, unseen: Mask, values: Array) -> dict[str, Any]:
+        """What the report says of ``values`` and of their errors, relative to the transfer."""
+        points = self._point_errors(traced[(traced.point < 0) & ~unseen], values)
+        areas = self._parts.areas()
+
+        def pooled(name: str) -> float:
+            chosen = np.where(self._fitted, *(getattr(e, name) for e in (self._fit_errors, points)))
+            return float((areas * chosen).sum())
+
+        size = max(pooled("size"), 1e-300)
+        surface, of_noise = pooled("surface") / size, pooled("noise") / size
+        fitted = self._fitted[self._parts.of_points]
+        share = float(fitted.mean()) if len(fitted) else 0.0
+        squared = float(np.mean(traced.noisier**2)) if len(traced.point) else 0.0
+        return {
+            "values": {"points": 1 - share, "fitted": share},
+            "estimated_error": self._noise * squared**0.5,
+            "interpolation_error": (surface - of_noise) ** 0.5,
+            "surface_error": surface**0.5,
+        }
+
+    def _point_errors(self, inside: Traced, values: Array) -> Errors:
+        """What places ``inside`` of the triangles say of ``values`` traced at their corners."""
+        parts, columns = self._parts, self._order**2
+        transfer, of = inside.values[:, :columns], parts.of_triangles[inside.places.triangles]
+        count = np.maximum(np.bincount(of, minlength=parts.count), 1)
+        missed = transfer - interpolated(parts.mesh, inside.places, values[:, :columns])
+        both = 1 + np.square(inside.places.barycentric).sum(axis=1)
+        size = np.bincount(of, squares(transfer), parts.count) / count
+        missed_squares = np.bincount(of, squares(missed), parts.count) / count
+        expected = np.bincount(of, self._noise**2 * size[of] * both, parts.count) / count
+        of_noise = self._noise**2 * size / 2  # the mean square of a place's coordinates is a half
+        return Errors(size, np.maximum(missed_squares - expected, 0) + of_noise, of_noise)
+
+
+def squares(values: npt.NDArray[Any]) -> Float:
+    """The mean square of each row."""
+    return np.asarray(np.square(values, dtype=np.float64).mean(axis=1))
