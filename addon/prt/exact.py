@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .map_sampler import LUMINANCE, SETS, Blocks, MapSampler
+from .map_sampler import LUMINANCE, SETS, Blocks, Candidates, MapSampler
 from .open_irradiance import OpenIrradiance
 
 Array = npt.NDArray[np.float32]
@@ -99,8 +99,7 @@ class ExactLight:
         self._table = table.astype(np.float32)
         samples = self._samples
         directions = (samples.directions @ rotation).astype(np.float32)
-        self._directions = directions.reshape(-1, 3)
-        self._planes = np.ascontiguousarray(np.moveaxis(directions, 2, 0))
+        self._candidates = Candidates(directions)
         # density of the cells, by which the weights go, over the one that drew the sample
         self._densities = self._table[cells(directions), 3]
         ratio = self._densities / (max(1, self.map_rays) * samples.density)
@@ -112,18 +111,7 @@ class ExactLight:
         ``normals`` (P, 3) float32; ``picks`` (P,), any numbers, choose each point's set, and with
         it whether neighbouring points make the same error.
         """
-        above = np.flatnonzero(self._map_cosines(normals, picks) > 0)
-        point, candidate = np.divmod(above, self.map_rays)
-        found = self._directions.take((picks % SETS)[point] * self.map_rays + candidate, axis=0)
-        return point.astype(np.int32), found
-
-    def _map_cosines(self, normals: Array, picks: npt.NDArray[np.int64]) -> Array:
-        """Cosines (P, map_rays) of the candidates, the same bits wherever they are computed."""
-        chosen = picks % SETS
-        cosines: Array = self._planes[0].take(chosen, axis=0) * normals[:, 0, None]
-        cosines += self._planes[1].take(chosen, axis=0) * normals[:, 1, None]
-        cosines += self._planes[2].take(chosen, axis=0) * normals[:, 2, None]
-        return cosines
+        return self._candidates.rays(normals, picks)
 
     def open_exit_radiance(self, normals: npt.ArrayLike) -> Array:
         """Exit radiance (P, 3) of a white surface that sees the whole sky above ``normals``
@@ -179,7 +167,7 @@ class ExactLight:
         cosine_rays: int,
     ) -> tuple[Array, Array]:
         """The sums (P, 3) over the map's rays, and as if all of them were visible."""
-        cosines = self._map_cosines(normals, picks)
+        cosines = self._candidates.cosines(normals, picks)
         visible = np.zeros(cosines.shape, np.float32)
         visible[cosines > 0] = map_visible
         np.maximum(cosines, 0, out=cosines)

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
+Array = npt.NDArray[np.float32]
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec.709
 FLOOR = 1e-3  # of the mean luminance, added to it: no direction is left out
@@ -216,3 +217,29 @@ class MapSampler:
         phi = pi - (column + right) * (2 * pi / width)
         sine = np.sqrt(np.maximum(0, 1 - z * z))
         return np.stack([sine * np.cos(phi), sine * np.sin(phi), z], axis=1)
+
+
+class Candidates:
+    """Sets of ``directions`` (SETS, N, 3), of which each point takes one: those above its horizon
+    are its rays."""
+
+    def __init__(self, directions: npt.NDArray[np.float32]) -> None:
+        self.count = directions.shape[1]
+        self._directions = np.ascontiguousarray(directions).reshape(-1, 3)
+        self._planes = np.ascontiguousarray(np.moveaxis(directions, 2, 0))
+
+    def cosines(self, normals: Array, picks: Index) -> Array:
+        """Cosines (P, N) to ``normals`` (P, 3) of the sets ``picks`` (P,), any numbers: the same
+        bits however points are batched."""
+        chosen = picks % SETS
+        cosines: Array = self._planes[0].take(chosen, axis=0) * normals[:, 0, None]
+        cosines += self._planes[1].take(chosen, axis=0) * normals[:, 1, None]
+        cosines += self._planes[2].take(chosen, axis=0) * normals[:, 2, None]
+        return cosines
+
+    def rays(self, normals: Array, picks: Index) -> tuple[npt.NDArray[np.int32], Array]:
+        """The points (R,), rising, and the directions (R, 3) of all rays above the horizon."""
+        above = np.flatnonzero(self.cosines(normals, picks) > 0)
+        point, place = np.divmod(above, self.count) if self.count else (above, above)
+        found = self._directions.take((picks % SETS)[point] * self.count + place, axis=0)
+        return point.astype(np.int32), found
