@@ -16,8 +16,8 @@ Index = npt.NDArray[np.int64]
 
 PATCHES = 256  # across a disc: 0.6 degrees
 CLUSTER = 4  # patches along a side of a cluster
-BRIGHT = 64
-STEPS = 64  # of the table across a disc and its margin
+BRIGHT = 128
+STEPS = 96  # of the table across a disc and its margin
 MARGIN = 1.1  # radius of the table's discs: a cell on the horizon has all of its corners
 PLACES = 512  # rows of places that patches are summed from
 NORMALS_AT_ONCE = 64
