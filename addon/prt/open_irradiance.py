@@ -14,9 +14,9 @@ from .map_sampler import LUMINANCE, Blocks
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-PATCHES = 256  # across a disc: 0.6 degrees
-CLUSTER = 4  # patches along a side of a cluster
-BRIGHT = 128
+PATCHES = 512  # across a disc: 0.3 degrees
+CLUSTER = 8  # patches along a side of a cluster
+BRIGHT = 256
 STEPS = 96  # of the table across a disc and its margin
 MARGIN = 1.1  # radius of the table's discs: a cell on the horizon has all of its corners
 PLACES = 512  # rows of places that patches are summed from

@@ -254,3 +254,17 @@ def test_the_light_of_real_pictures_on_the_knot():
         errors.append(np.sqrt(np.mean((np.array(found) - expected) ** 2)) / rms)
     assert np.mean(errors) < 0.011
     assert np.max(errors) < 0.0176
+
+
+@pytest.mark.parametrize("file", studio_lights(), ids=lambda file: file.stem)
+def test_the_open_light_of_real_pictures_is_that_of_all_their_texels(file):
+    """Surfaces that the brightest texel grazes among them."""
+    pixels = light.repair(images.read(str(file)))[0]
+    place = np.unravel_index(pixels.sum(axis=2).argmax(), pixels.shape[:2])
+    sun = lat_long.directions(*pixels.shape[:2])[place]
+    normals = np.concatenate([unit(20), np.cross(unit(20), sun)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    exact = ExactLight(pixels, np.eye(3), (1, 1, 1), MAP_RAYS, 0)
+    expected = irradiance(pixels, normals) / pi
+    error = exact.open_exit_radiance(normals) - expected
+    assert np.abs(error).max() < 2e-3 * np.sqrt(np.mean(expected**2))
