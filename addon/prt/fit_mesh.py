@@ -112,6 +112,10 @@ class Quadratic:
     edges: Float
     tips: Float
 
+    def times(self, factor: float) -> "Quadratic":
+        """This form, ``factor`` times."""
+        return Quadratic(factor * self.diagonal, factor * self.edges, factor * self.tips)
+
 
 def sample_form(mesh: Mesh, places: Places, weights: Float) -> Quadratic:
     """The sum of ``weights`` (S,) times the square of the value interpolated at ``places``."""
@@ -154,10 +158,10 @@ def right_side(mesh: Mesh, places: Places, weights: Float, values: Array) -> Arr
     return out
 
 
-def lumped(mesh: Mesh, places: Places, weights: Float, values: Array) -> Array:
-    """Averages (P, K) of the samples about each point; of the neighbours' where it has none."""
-    total = right_side(mesh, places, weights, np.ones((len(values), 1), np.float32))
-    sums = right_side(mesh, places, weights, values)
+def lumped(mesh: Mesh, places: Places, weights: Float, sums: Array) -> Array:
+    """Averages (P, K) of the samples about each point, ``sums`` being their right side (P, K); of
+    the neighbours' where it has none."""
+    total = right_side(mesh, places, weights, np.ones((len(places), 1), np.float32))
     known = total[:, 0] > 0
     total[~known] = 1
     out: Array = sums / total

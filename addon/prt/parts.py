@@ -11,6 +11,7 @@ from .points import Float, Index, Points, Surface, element_triangles
 from .samples import Places
 
 MIN_TRIANGLES = 500  # of a part
+OWN = 2000  # triangles of an island that is a part of its own: it can be judged by itself
 MIN_ISLAND = 64  # triangles: what is smaller is left to its points
 BY_COUNT = 0.75  # of the samples as many in each triangle; the others by area
 
@@ -67,8 +68,8 @@ class Parts:
 
 
 def parts_of(receiver: Receiver, points: Points, may_fit: bool) -> Parts:
-    """Islands of ``points`` with enough triangles, what is left over as one more if it is enough,
-    and the rest.  Only triangles with an area and three different points."""
+    """Large islands of ``points``, smaller ones together as one more if that is enough, and the
+    rest.  Only triangles with an area and three different points."""
     whole = Surface.of(receiver)
     rows = points.element_points[element_triangles(receiver)].astype(np.int64)
     sound = whole.solid & (rows >= 0).all(axis=1) & (rows != rows[:, [1, 2, 0]]).all(axis=1)
@@ -77,7 +78,7 @@ def parts_of(receiver: Receiver, points: Points, may_fit: bool) -> Parts:
     mesh = mesh_of(rows[sound], surface.corners, surface.areas, count)
     island = components(mesh.edges, count)
     size = np.bincount(island[mesh.corners[:, 0]], minlength=count)  # triangles, by island
-    large, small = size >= MIN_TRIANGLES, (size >= MIN_ISLAND) & (size < MIN_TRIANGLES)
+    large, small = size >= OWN, (size >= MIN_ISLAND) & (size < OWN)
     if not may_fit:
         large[:] = False
     pooled = may_fit and size[small].sum() >= MIN_TRIANGLES

@@ -13,6 +13,8 @@ from .parts import Parts, buried_points
 from .points import Float, Points
 from .traced import Array, Mask, Traced, part_of
 
+TRIAL = (1.0, 0.1)  # weights that tell whether a fit is promising
+
 
 @dataclass
 class Errors:
@@ -57,7 +59,7 @@ class Values:
         samples, _ = self._samples(traced)
         transfer = replace(samples, values=samples.values[:, : self._order**2])
         mesh, parts = self._parts.mesh, self._parts
-        _, missed = best_weights(mesh, transfer, parts.of_points, parts.count)
+        _, missed = best_weights(mesh, transfer, parts.of_points, parts.count, TRIAL)
         return self._errors(traced, samples, missed, np.zeros((mesh.count, 1), np.float32))
 
     def _samples(self, traced: Traced) -> tuple[Samples, Array]:
@@ -105,7 +107,7 @@ class Values:
         of_places = self._noise**2 * size * mean(traced.noisier**2)
         shown = interpolated(self._parts.mesh, traced.places, noise)
         of_noise = self._noise**2 * size * mean(squares(shown))
-        return Errors(size, np.maximum(missed - of_places, of_noise), of_noise)
+        return Errors(size, missed - of_places, of_noise)
 
     def _areas(self, traced: Traced) -> Float:
         """The area (M,) that each place stands for."""
@@ -120,15 +122,20 @@ class Values:
 
     def report(self, traced: Traced, unseen: Mask, values: Array) -> dict[str, Any]:
         """What the report says of ``values`` and of their errors, relative to the transfer."""
-        points = self._point_errors(traced[(traced.point < 0) & ~unseen], values)
-        areas = self._parts.areas()
+        inside = traced[traced.point < 0]
+        seen = ~unseen[traced.point < 0]
+        points = self._point_errors(inside[seen], values)
+        of, count = part_of(self._parts, inside), self._parts.count
+        looked = np.maximum(np.bincount(of, minlength=count), 1)
+        areas = self._parts.areas() * np.bincount(of[seen], minlength=count) / looked
 
         def pooled(name: str) -> float:
             chosen = np.where(self._fitted, *(getattr(e, name) for e in (self._fit_errors, points)))
             return float((areas * chosen).sum())
 
         size = max(pooled("size"), 1e-300)
-        surface, of_noise = pooled("surface") / size, pooled("noise") / size
+        of_noise = pooled("noise") / size
+        surface = max(of_noise, pooled("surface") / size)
         fitted = self._fitted[self._parts.of_points]
         share = float(fitted.mean()) if len(fitted) else 0.0
         squared = float(np.mean(traced.noisier**2)) if len(traced.point) else 0.0
@@ -150,7 +157,7 @@ class Values:
         missed_squares = np.bincount(of, squares(missed), parts.count) / count
         expected = np.bincount(of, self._noise**2 * size[of] * both, parts.count) / count
         of_noise = self._noise**2 * size / 2  # the mean square of a place's coordinates is a half
-        return Errors(size, np.maximum(missed_squares - expected, 0) + of_noise, of_noise)
+        return Errors(size, missed_squares - expected + of_noise, of_noise)
 
 
 def squares(values: npt.NDArray[Any]) -> Float:
