@@ -28,7 +28,7 @@ from .points import Float, Index
 from .samples import Places
 
 ANCHOR = 1e-6  # of the diagonal: holds what neither a sample nor an edge holds
-ROUGHLY, TOLERANCE = 1e-3, 1e-4  # of the norm of the right side, every row over its diagonal
+ROUGHLY, TOLERANCE = 1e-3, 3e-4  # of the norm of the right side, every row over its diagonal
 STEPS = 60
 ROWS = 8192  # in one block of a product: it stays in the processor's cache
 WEIGHTS = (3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003)  # of the gradient's jumps

@@ -89,7 +89,7 @@ def test_the_solver_agrees_with_a_dense_one():
     right = fit_mesh.right_side(mesh, places, areas, values)
     system = fit.System(mesh)
     system.set(data, jumps)
-    found = system.solve(right, fit_mesh.lumped(mesh, places, areas, right))
+    found = system.solve(right, fit_mesh.lumped(mesh, places, areas, right), 1e-5)
     expected = np.linalg.solve(dense(mesh, data) + dense(mesh, jumps), right)
     np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
 
@@ -97,13 +97,14 @@ def test_the_solver_agrees_with_a_dense_one():
 def test_a_linear_function_is_found_from_few_samples():
     receiver = flat()
     mesh, surface = mesh_of(receiver)
-    places = random_places(surface.areas, 60, 0)
+    places = random_places(surface.areas, 200, 0)
     origins = np.einsum("pk,pkc->pc", places.barycentric, surface.corners[places.triangles])
     values = (origins @ [[1.0], [2], [0]] + 3).astype(np.float32)
     samples = samples_of(mesh, places, values, surface)
     solver = fit.Fit(mesh, np.zeros(mesh.count, np.int64), 1)
     found = solver.solve(samples, np.array([0.1]))
-    np.testing.assert_allclose(found, receiver.vertices @ [[1.0], [2], [0]] + 3, atol=0.06)
+    missed = found - (receiver.vertices @ [[1.0], [2], [0]] + 3)
+    assert np.sqrt((missed**2).mean()) < 0.01
 
 
 def test_more_noise_takes_a_larger_weight():
