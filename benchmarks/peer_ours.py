@@ -1,0 +1,50 @@
+"""The engine itself, whole and in its own process, as an artist's bake runs it."""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from prt_baker.addon import engine
+from prt_baker.addon.prt import job as jobs
+from scenes import Scene
+
+TRACING = "transfer"  # the phase of the report
+
+
+@dataclass(frozen=True)
+class Baked:
+    """A bake: ``seconds`` of the whole, from arrays to arrays, of which ``tracing``; ``transfer``
+    (P, n²) at the points of every receiver in turn, and the engine's ``report``."""
+
+    seconds: float
+    tracing: float
+    transfer: np.ndarray
+    report: dict[str, Any]
+
+
+def settings(**chosen: Any) -> jobs.Settings:
+    """Transfer at the points and nothing else: what the competitors compute."""
+    return jobs.Settings(fit=False, residual=False, verify_points=0, **chosen)
+
+
+def bake(scene: Scene, chosen: jobs.Settings) -> Baked:
+    """One bake of ``scene``: process start, files, points, Embree's structure, rays, error
+    estimate."""
+    job = scene.job(chosen)
+    start = time.perf_counter()
+    with engine.job_folder() as folder:
+        results = finish(engine.run(job, folder))
+    seconds = time.perf_counter() - start
+    transfer = np.concatenate([r.transfer[:, 0] for r in results.receivers])
+    tracing = sum(entry["seconds"][TRACING] for entry in results.report["objects"])
+    return Baked(seconds, tracing, transfer, results.report)
+
+
+def finish(steps: Any) -> jobs.Results:
+    """The value of a generator that is run to its end."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            return stop.value
