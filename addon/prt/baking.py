@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .cache import Cache, Keys
+from .errors import BakeError
 from .exact_world import World
 from .horizon import Surroundings
 from .job import Job, Progress, ReceiverResult
@@ -71,6 +72,10 @@ def bake(scene: Scene, index: int) -> Generator[Progress, None, Baked]:
     receiver = scene.job.receivers[index]
     with scene.meter.phase("prepare"):
         points = distinct_points(receiver)
+        if not len(points.origins):
+            raise BakeError(
+                f"Object {receiver.name!r} has only faces without area: use Mesh > Clean Up"
+            )
         result_key, tape_key = scene.keys(index, points)
         known = scene.cache.get(result_key) if result_key else None
     if known is not None:
@@ -104,7 +109,7 @@ class _Work:
             horizon = scene.surroundings.horizon(self._receiver, points)
         self._shortcuts = Shortcuts(horizon, known=tape.known)
         self._effort = Effort(self._settings.rays)
-        self._error = 0.0
+        self._error, self._backs = 0.0, 0
 
     def solve(self) -> Generator[Progress, None, Solved]:
         """Trace and solve."""
@@ -128,7 +133,10 @@ class _Work:
                 rays=self._effort.rays,
                 noise=self._effort.noise,
             )
+            before = self._counts[CAST]
             solved = yield from meter.follow("transfer", found, len(points.origins), expected)
+            seen = self._counts[CAST] - before + self._counts[MAP_RAYS]
+            self._backs = 0 if tape.known else int(solved.entry["rays"]) - seen
         if not tape.known:
             with meter.phase("estimate"):
                 self._estimate(solved)
@@ -137,8 +145,7 @@ class _Work:
 
     def _map_rays(self) -> float:
         """About how many rays a point traces towards the map's light."""
-        settings = self._settings
-        return settings.turns * settings.map_rays / 2 if self._scene.world.is_exact else 0.0
+        return self._scene.world.turns * self._settings.map_rays / 2
 
     def _trace(self, origins: Array, normals: Array, rays: int) -> Generator[int, None, Array]:
         """Transfer and residuals (M, n² + 3 turns) at ``origins`` (M, 3)."""
@@ -163,15 +170,15 @@ class _Work:
         """The error at the traced places, pooled: found for those with the most usual number of
         rays, and for the others by how it falls with rays."""
         traced, coefficients = solved.traced, self._settings.order**2
-        if not len(traced.split):
+        if not len(traced.rays):
             return
-        usual = int(np.bincount(traced.split).argmax())
-        mine = traced.split == usual
+        usual = int(np.bincount(traced.rays).argmax())
+        mine = traced.rays == usual
         places = Points(traced.origins[mine], traced.normals[mine], self._points.element_points[:0])
-        settings = replace(self._settings, rays=self._effort.rays // usual)
         transfer = traced.values[mine, :coefficients]
+        settings = replace(self._settings, rays=usual)
         error, cast = estimate_error(places, self._occlusion, settings, transfer)
-        others = (traced.split / usual) ** FALL
+        others = (usual / np.maximum(traced.rays, 1)) ** FALL
         self._error = error * float(np.sqrt(np.mean(others**2)))
         self._counts[CAST] += cast
 
@@ -179,12 +186,13 @@ class _Work:
         """The values of ``solved``, apart."""
         coefficients, values = self._settings.order**2, solved.values
         transfer, rest = values[:, :coefficients], values[:, coefficients:]
-        turns = rest.shape[1] // 3
+        end = 3 * self._scene.world.turns
         return ReceiverResult(
             self._receiver.name,
             np.ascontiguousarray(transfer[:, None]),
             self._points.element_points,
-            np.ascontiguousarray(rest.reshape(len(rest), turns, 3)),
+            np.ascontiguousarray(rest[:, :end]).reshape(len(rest), -1, 3),
+            np.ascontiguousarray(rest[:, end:]),
         )
 
     def entry(self, solved: Solved) -> Entry:
@@ -193,23 +201,20 @@ class _Work:
         repeated = int((self._points.element_points >= 0).sum()) - count
         names = {CAST, MAP_RAYS}
         skipped = {name: rays for name, rays in self._counts.items() if name not in names and rays}
-        cast = self._counts[CAST] + self._counts[MAP_RAYS]
+        cast = self._counts[CAST] + self._counts[MAP_RAYS] + self._backs
         spent = {k: v - self._before.get(k, 0.0) for k, v in meter.seconds.items()}
-        rest = {k: v for k, v in solved.entry.items() if k != "rays"}
-        between = rest.get("interpolation_error")
         return {
             "name": self._receiver.name,
             "points": count,
             "elements": len(self._points.element_points),
-            "samples": len(solved.traced.split),
+            "samples": len(solved.traced.rays),
             "rays": cast,
             "map_rays": self._counts[MAP_RAYS],
             "rays_per_point": self._effort.rays,
             "skipped": {SAME_PLACE: repeated * self._effort.rays, **skipped},
             "seconds": {k: v for k, v in spent.items() if v > 0},
             "mrays_per_second": cast / max(spent.get("transfer", 0.0), 1e-9) / 1e6,
-            "estimated_error": self._error,
-            "surface_error": None if between is None else float(np.hypot(self._error, between)),
             "measured_error": None,
-            **rest,
+            **{k: v for k, v in solved.entry.items() if k != "rays"},
+            "estimated_error": self._error,
         }

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .exact import ExactLight
+from .peaks import PeakRays
 from .rays import Occlusion
 from .transfer import MAP_RAYS, NOTHING_ABOVE, Batch, Counts
 
@@ -17,15 +18,16 @@ MIX = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio: Knuth's multiplicative h
 
 
 class LightGather:
-    """Exit radiance of white surfaces under ``lights``, three columns each."""
+    """Exit radiance of white surfaces under ``lights``, three columns each; then the shadowed
+    cosines of ``peaks``, a column each."""
 
-    def __init__(self, lights: Sequence[ExactLight], seed: int) -> None:
-        self._lights, self._seed = lights, seed
+    def __init__(self, lights: Sequence[ExactLight], peaks: PeakRays | None, seed: int) -> None:
+        self._lights, self._peaks, self._seed = lights, peaks, seed
 
     @property
     def columns(self) -> int:
-        """Three for each light."""
-        return 3 * len(self._lights)
+        """Three for each light and one for each peak."""
+        return 3 * len(self._lights) + (self._peaks.peaks if self._peaks else 0)
 
     def __call__(self, batch: Batch, occlusion: Occlusion) -> tuple[Array, Counts]:
         """The columns of the batch's points, and the rays of the map that they took."""
@@ -46,6 +48,11 @@ class LightGather:
                     picks,
                 )
             )
+        if self._peaks is not None and self._peaks.peaks:
+            picks = self._picks(batch.numbers, len(self._lights))
+            point, directions = self._peaks.candidates(batch.normals, picks)
+            visible = _sees(batch, point, directions, occlusion, counts)
+            found.append(self._peaks.shadowed_cosine(batch.normals, picks, visible))
         return np.concatenate(found, axis=1), counts
 
     def _picks(self, numbers: Index, k: int) -> Index:

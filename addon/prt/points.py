@@ -21,11 +21,13 @@ Index = npt.NDArray[np.int64]
 
 INWARD = 0.01  # share of the way to the host's centroid
 BIAS = 2.0**-19  # of the largest coordinate nearby: 16 steps of float32
+PLANE = 2.0**-22  # of a triangle's longest side over its height: 4 steps of float32
+SLIVER = 1e-2  # height of a triangle over its longest side
 NORMAL_STEPS = 2**14  # normals closer than one step are one
 MIXERS = np.array([0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 LOW_BITS = np.uint64(0xFFFFFFFF)
 PIECE = 1 << 14
-ANGLE_STEPS = 2.0**29
+ANGLE_STEPS = 2.0**28
 NO_HOST = np.int64(2**63 - 1)
 MORTON_BITS = 16  # an axis
 
@@ -131,13 +133,16 @@ def _hosts(receiver: Receiver, columns: Float) -> Index:
         a, b, c = _corners(columns, np.asarray(receiver.triangles[part]))
         sides = (b - a, c - b, a - c)
         square = [_dot(side, side) for side in sides]
-        solid = _cross(sides[0], sides[1]).any(axis=0)
+        cross = _cross(sides[0], sides[1])
+        solid = cross.any(axis=0)
+        longest = np.maximum(np.maximum(square[0], square[1]), square[2])
+        sliver = _dot(cross, cross) < np.square(SLIVER * longest)  # a host only where none else is
         number = np.arange(part.start, part.stop)
         for k in range(3):
             along = -_dot(sides[k], sides[k - 1])
             with np.errstate(invalid="ignore", divide="ignore"):
                 cosine = along * np.abs(along) / (square[k] * square[k - 1])  # squared, its sign
-            step = ((np.where(solid, cosine, 0) + 1) * ANGLE_STEPS).astype(np.int64)
+            step = ((np.where(solid, cosine, 0) + 1 + 2 * sliver) * ANGLE_STEPS).astype(np.int64)
             keys = np.where(solid, step << 32 | number, NO_HOST)
             np.minimum.at(widest, elements[part, k], keys)
     return np.where(widest == NO_HOST, -1, widest & 0xFFFFFFFF)
@@ -198,12 +203,23 @@ def _distinct(
 def _origins(start: Float, normals: Float, corners: list[Float]) -> Float:
     """Vertices (3, P) moved into their hosts, up to the tangent plane and off the surface."""
     inward = (corners[0] + corners[1] + corners[2]) / 3 - start
-    largest = np.maximum.reduce([np.abs(corner).max(axis=0) for corner in corners])
-    bias = np.maximum(BIAS * largest, 1e-30)
+    bias = _bias(corners)
     distance = np.sqrt(_dot(inward, inward))
     inward *= np.clip(4 * bias / np.maximum(distance, 1e-300), INWARD, 0.5)
     depth = np.minimum(_dot(inward, normals), 0)
     return np.asarray(start + inward - depth * normals + bias * _geometric_normals(corners))
+
+
+def _bias(corners: list[Float]) -> Float:
+    """The offset (F) off triangles: some steps of float32 of their coordinates, and off a sliver as
+    far as Embree may misplace its plane, whose normal cancels to the height's share of a side."""
+    largest = np.maximum.reduce([np.abs(corner).max(axis=0) for corner in corners])
+    sides = [corners[k - 2] - corners[k] for k in range(3)]
+    square = np.maximum.reduce([_dot(side, side) for side in sides])
+    cross = _cross(sides[0], sides[1])
+    double_area = np.maximum(np.sqrt(_dot(cross, cross)), 1e-300)
+    steps = np.minimum(PLANE * square / double_area, INWARD)  # of the longest side
+    return np.asarray(np.maximum(np.maximum(BIAS * largest, steps * np.sqrt(square)), 1e-30))
 
 
 def lift(inside: Float, vertices: Float, normals: Float) -> Float:
@@ -214,8 +230,7 @@ def lift(inside: Float, vertices: Float, normals: Float) -> Float:
 
 def surface_bias(corners: Float) -> Float:
     """The offset (P, 1) off triangles with ``corners`` (P, 3, 3)."""
-    largest = np.maximum.reduce(np.abs(corners).reshape(-1, 9).T.copy())
-    return np.asarray(np.maximum(BIAS * largest, 1e-30)[:, None])
+    return _bias([np.ascontiguousarray(corners[:, k].T) for k in range(3)])[:, None]
 
 
 def morton_order(positions: npt.NDArray[np.floating[Any]]) -> Index:

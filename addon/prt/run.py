@@ -15,6 +15,7 @@ from .exact_world import World
 from .job import Job, Progress, Receiver, ReceiverResult, Results, content_hash
 from .meter import Meter
 from .points import Points, distinct_points
+from .traced import Traced
 from .verify import measure
 
 Entry = dict[str, Any]
@@ -26,8 +27,9 @@ def run(job: Job) -> Generator[Progress, None, Results]:
     report: dict[str, Any] = {"job_hash": content_hash(job), "objects": []}
     yield meter.progress("light")
     cache = Cache(job.settings.cache)
+    world = World(job, cache)
     with meter.phase("light"):
-        world = World(job, cache)
+        image_sh = world.image_sh
     scene = Scene(job, world, cache, meter)
     receivers: Sequence[ReceiverResult] = ()
     if job.kind == "bake":
@@ -38,7 +40,7 @@ def run(job: Job) -> Generator[Progress, None, Results]:
     if job.light is not None:
         report["light"] = world.report
     report.update(_run_report(job, meter))
-    return Results(world.image_sh, tuple(receivers), report)
+    return Results(image_sh, tuple(receivers), report, world.peaks)
 
 
 def _work(job: Job) -> float:
@@ -72,22 +74,30 @@ def _measure_bake(
 ) -> Generator[Progress, None, None]:
     """Let the report of ``baked`` say what a second look at its points finds."""
     result = baked.result
-    shown = replace(receiver, transfer=result.at_elements(result.transfer))
-    baked.entry["measured_error"] = yield from _measure(scene, shown, baked.points)
+    shown = replace(
+        receiver,
+        transfer=result.at_elements(result.transfer),
+        residual=result.at_elements(result.residual),
+    )
+    traced = baked.solved.traced if baked.solved else None
+    baked.entry["measured_error"] = yield from _measure(scene, shown, baked.points, traced)
 
 
 def _verify(scene: Scene, entries: list[Entry]) -> Generator[Progress, None, None]:
     """Measure every receiver as it is shown."""
     for receiver in scene.job.receivers:
-        measured = yield from _measure(scene, receiver, distinct_points(receiver))
+        measured = yield from _measure(scene, receiver, distinct_points(receiver), None)
         entries.append({"name": receiver.name, "measured_error": measured})
 
 
-def _measure(scene: Scene, receiver: Receiver, points: Points) -> Generator[Progress, None, Entry]:
+def _measure(
+    scene: Scene, receiver: Receiver, points: Points, traced: Traced | None
+) -> Generator[Progress, None, Entry]:
     """The measured errors of what ``receiver`` shows."""
     settings = scene.job.settings
     with scene.meter.phase("verify"):
-        steps = measure(receiver, points, scene.occlusion, settings)
+        light = scene.world.reference(scene.occlusion)
+        steps = measure(receiver, points, scene.occlusion, settings, traced=traced, light=light)
         expected = 2 * settings.verify_points * settings.verify_rays
         share = _verify_work(scene.job)
         measured = yield from scene.meter.follow("verify", steps, share, expected)
@@ -101,11 +111,12 @@ def _with_needed_bands(
     settings = scene.job.settings
     if not (settings.tolerance or settings.final_light) or not results:
         return results
-    final = scene.world.radiance_sh if settings.final_light else None
+    seen = scene.world.seen_sh if scene.job.light is not None else np.zeros((1, 25, 3))
+    final = seen[0] if settings.final_light else None
     order = bands.needed_order(results, settings.tolerance, final)
     for entry in entries:
         entry["bands_left_out"] = settings.order - order
-    return [bands.cut(result, order, scene.world.turns_sh) for result in results]
+    return [bands.cut(result, order, seen) for result in results]
 
 
 def _run_report(job: Job, meter: Meter) -> dict[str, Any]:

@@ -41,12 +41,6 @@ class Traced:
     rays: Index
     noisier: Float
 
-    @property
-    def split(self) -> Index:
-        """The most usual rays over those of each place (M,), in whole numbers."""
-        most = self.rays.max(initial=1)
-        return np.asarray(most // np.maximum(self.rays, 1))
-
     def __getitem__(self, chosen: Mask) -> "Traced":
         return Traced(*(values[chosen] for values in vars(self).values()))
 

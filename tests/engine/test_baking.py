@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import shapes
 from prt_baker.addon.prt import job as jobs
-from prt_baker.addon.prt import points, rays, transfer
+from prt_baker.addon.prt import points, rays, residual, transfer
+from prt_baker.addon.prt.errors import BakeError
+from prt_baker.addon.prt.layout import Values
 from prt_baker.addon.prt.light import world_sh
 from prt_baker.addon.prt.run import run
 from test_run import finish
@@ -176,3 +178,50 @@ def test_an_empty_band_is_not_stored_with_a_tolerance(job):
     _, results = finish(run(jobs.Job("bake", settings, light, (plane,), vertices, triangles)))
     assert results.receivers[0].transfer.shape[2] == 9
     assert results.report["objects"][0]["bands_left_out"] == 1
+
+
+def test_peaks_and_residual_together_are_as_exact_as_the_residual(job):
+    """What the reader adds up: coefficients without the peaks, the peaks, the residual."""
+    settings = replace(job.settings, rays=256, fit=False, cache="")
+    lit = []
+    for peaks in (0, 2):
+        _, results = finish(run(replace(job, settings=replace(settings, peaks=peaks))))
+        result = results.receivers[1]
+        layout = Values(result.transfer, result.residual, result.visibility)
+        light = world_sh(results.image_sh, (1, 1, 1), np.eye(3))
+        by = residual.terms(light, light, 1, results.peaks)
+        lit.append(residual.shaded(result.transfer, light) + residual.beyond(layout, by))
+        assert len(results.peaks) == result.visibility.shape[1] == min(peaks, 1)
+    assert transfer.relative_rms(lit[1], lit[0]) < 1e-4
+
+
+def test_a_peak_alone_brings_most_of_the_light_back(job):
+    """Order 3 and one sun, without a residual."""
+    settings = replace(job.settings, rays=256, fit=False, cache="", residual=False, peaks=1)
+    sunny = replace(job, settings=settings)
+    _, results = finish(run(sunny))
+    result = results.receivers[1]
+    chosen, truth = exact(sunny, result)
+    light = world_sh(results.image_sh, (1, 1, 1), np.eye(3))
+    values = Values(result.transfer, np.empty((len(result.transfer), 0, 3)), result.visibility)
+    by = residual.terms(light, light, 0, results.peaks)
+    plain = residual.shaded(result.transfer, light)
+    with_peak = plain + residual.beyond(values, by)
+    before, after = (transfer.relative_rms(v[chosen], truth) for v in (plain, with_peak))
+    assert after < 0.3 * before
+
+
+def test_verify_measures_the_light_at_the_baked_world(job):
+    settings = replace(job.settings, rays=256, cache="", verify_points=60, verify_rays=4096)
+    errors = []
+    for residual_too in (False, True):
+        its = replace(settings, residual=residual_too)
+        _, results = finish(run(replace(job, settings=its)))
+        errors.append(results.report["objects"][1]["measured_error"]["light_at_points"])
+    assert errors[1] < 0.4 * errors[0]
+
+
+def test_a_receiver_without_area_is_refused(job):
+    flat = replace(job.receivers[0], vertices=np.zeros_like(job.receivers[0].vertices))
+    with pytest.raises(BakeError, match="without area"):
+        finish(run(replace(job, receivers=(flat,))))
