@@ -63,6 +63,14 @@ def mesh_of(corners: Index, positions: Float, areas: Float, count: int) -> Mesh:
     )  # fmt: skip
 
 
+def unjoined(corners: Index, areas: Float, count: int) -> Mesh:
+    """The mesh of triangles ``corners`` (F, 3) without what joins them, where nothing is fitted."""
+    none = np.zeros((0, 2), np.int64)
+    numbers, sides = np.zeros((0, 4)), np.zeros((0, 3), np.int64)
+    hinges, around = np.zeros((0, 4), np.int64), np.zeros((0, 5), np.int64)
+    return Mesh(count, corners, areas, none, sides, hinges, numbers, np.zeros(0), around)
+
+
 def excerpt(mesh: Mesh, keep: npt.NDArray[np.bool_]) -> Mesh:
     """What of ``mesh`` lies among the points ``keep`` (P,), with points, edges and triangles
     numbered anew."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .fit_mesh import Mesh, components, mesh_of
+from .fit_mesh import Mesh, components, mesh_of, unjoined
 from .job import Receiver
 from .points import Float, Index, Points, Surface, element_triangles
 from .samples import Places
@@ -75,13 +75,15 @@ def parts_of(receiver: Receiver, points: Points, may_fit: bool) -> Parts:
     sound = whole.solid & (rows >= 0).all(axis=1) & (rows != rows[:, [1, 2, 0]]).all(axis=1)
     surface = Surface(*(values[sound] for values in vars(whole).values()))
     count = len(points.origins)
+    if not may_fit:
+        bare = unjoined(rows[sound], surface.areas, count)
+        of_points, of_triangles = np.zeros(count, np.int64), np.zeros(len(bare.corners), np.int64)
+        return Parts(bare, surface, of_points, of_triangles, 1)
     mesh = mesh_of(rows[sound], surface.corners, surface.areas, count)
     island = components(mesh.edges, count)
     size = np.bincount(island[mesh.corners[:, 0]], minlength=count)  # triangles, by island
     large, small = size >= OWN, (size >= MIN_ISLAND) & (size < OWN)
-    if not may_fit:
-        large[:] = False
-    pooled = may_fit and size[small].sum() >= MIN_TRIANGLES
+    pooled = size[small].sum() >= MIN_TRIANGLES
     rest = int(large.sum()) + int(pooled)
     part = np.full(count, rest)
     part[large] = np.arange(large.sum())
