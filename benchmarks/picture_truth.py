@@ -8,6 +8,7 @@ pictures, whose noises know nothing of each other: what is left of them is the e
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import bpy
 import numpy as np
@@ -46,7 +47,8 @@ def truth(cache: Path) -> Truth:
     path = cache / f"{_key()}.npz"
     if not path.exists():
         cache.mkdir(parents=True, exist_ok=True)
-        pictures = [colour(_cycles(cache, SAMPLES, seed)) for seed in (1, 2)]
+        with TemporaryDirectory() as folder:
+            pictures = [colour(_cycles(Path(folder), SAMPLES, seed)) for seed in (1, 2)]
         np.savez(path, first=pictures[0], second=pictures[1])
     with np.load(path) as kept:
         return Truth(kept["first"], kept["second"])
