@@ -2,7 +2,8 @@
 # make test     lint, types and every test
 # make venv     .venv/bin/prt-bake and all that it needs, nothing more
 # make package  the extension's zips, one a platform, in dist/
-# make bench    run time and errors of real inputs, into docs/benchmarks.md
+# make bench    run time against error beside the peers, into docs/benchmarks.md: some minutes;
+#               make bench-full measures everything, in hours
 # make real-blender   the zip in a real Blender under Xvfb (root, Debian)
 #
 # PYTHON=... chooses the interpreter (3.13 or 3.11), VENV=... the folder of the environment
@@ -16,7 +17,7 @@ export MESA_SHADER_CACHE_DIR ?= $(CURDIR)/.cache/mesa
 export OPENBLAS_NUM_THREADS ?= 1
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 
-.PHONY: demo test bench venv lint format package wheels real-blender clean
+.PHONY: demo test bench bench-full bench-packages venv lint format package wheels real-blender clean
 
 demo: venv
 	python tools/demo.py
@@ -24,8 +25,14 @@ demo: venv
 test: lint wheels $(VALIDATOR)
 	pytest
 
-bench: venv
+bench: bench-packages
 	python benchmarks/page.py
+
+bench-full: bench-packages
+	python benchmarks/page.py --full
+
+bench-packages: venv
+	@benchmarks/install.sh $(VENV)
 
 venv:
 	@mkdir -p $(MESA_SHADER_CACHE_DIR)

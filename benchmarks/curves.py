@@ -38,7 +38,7 @@ class Effort:
     target_seconds: float
 
 
-SHORT = Effort(points=400, turns=2, seconds=1.0, target_seconds=2.0)
+SHORT = Effort(points=400, turns=2, seconds=1.5, target_seconds=3.0)
 FULL = Effort(points=2000, turns=2, seconds=8.0, target_seconds=40.0)
 TARGETS = ("knot", "cortex")
 
@@ -126,10 +126,15 @@ def main() -> None:
     asked = parser.parse_args()
     effort, builders = (FULL, BUILDERS) if asked.full else (SHORT, SMALL)
     measured: dict[str, Any] = {"form": "full" if asked.full else "short", **about_machine()}
-    measured["scenes"] = {}
+    measured |= {"scenes": {}, "missing": {}}
     for name in asked.scene or builders:
         start = time.perf_counter()
-        measured["scenes"][name] = measure(builders[name](), effort)
+        try:
+            scene = builders[name]()
+        except ModuleNotFoundError as error:
+            measured["missing"][name] = str(error)
+            continue
+        measured["scenes"][name] = measure(scene, effort)
         print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
         asked.out.parent.mkdir(parents=True, exist_ok=True)
         asked.out.write_text(json.dumps(measured, indent=1), encoding="utf-8")
@@ -187,7 +192,7 @@ def start_workers(scene: Scene) -> tuple[dict[str, Worker], dict[str, str], dict
     """The peers that are installed, by module; why others are not; versions of all."""
     workers, missing, versions = {}, {}, {}
     for module in dict.fromkeys(method.module for method in METHODS):
-        if module == "peer_cycles" and not scene.cycles_is_fair:
+        if module == "peer_cycles" and not scene.is_fair_to_cycles:
             continue
         worker = Worker(module)
         try:

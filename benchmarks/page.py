@@ -1,78 +1,195 @@
-"""make bench: measure and write docs/benchmarks.md."""
+"""make bench: measure and write docs/benchmarks.md.
 
-import platform
+The short form measures what takes a few minutes and keeps the rest of the page as it was.
+"""
+
+import argparse
+import json
 import subprocess
 import sys
-from importlib.metadata import version
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "benchmarks.md"
-PACKAGES = ("bpy", "numpy", "embreex", "OpenEXR")
+import curves_page
+from curves import about_machine
+from scenes import CACHE
 
-TEMPLATE = """# Benchmarks
+HERE = Path(__file__).parent
+PAGE = HERE.parent / "docs" / "benchmarks.md"
+PACKAGES = ("bpy", "numpy", "embreex", "OpenEXR", "mitsuba", "nilearn")
 
-Written by `make bench`. {machine}, {packages}.
+HEAD = """# Benchmarks
 
-## Real inputs
+Written by `make bench-full`; `make bench`, a short form of a few minutes, measures some sections
+again. Each section says where and how it was measured. On a virtual machine figures vary between
+runs by a tenth and more; ratios, whose sides take turns in one run, vary less.
+"""
 
-The demo under several of Blender's HDRIs and a scanned bust of 109,000 faces on a plane (npm
-`snowden`), baked from the command line with the default settings (order 3, 256 rays) and
-`--verify`. The errors are relative RMS: of the transfer at the baked points and at random points of
-the surface, traced again with 16,384 rays, and of the whole picture in EEVEE against Cycles
-(diffuse, no bounces, 64 samples). Order 3 leaves the sharpest part of an HDRI's light out; that,
-not the rays, is what is left of the pictures' difference, together with Cycles' own noise. The
-error on the surface is pooled over the scene, and single points weigh much in it: nearly all of the
-demo's comes from the rims of Suzanne's eyes, where light falls into a crevice narrower than a
-triangle. *Whole command* starts Blender, reads the scene, bakes, verifies and writes everything.
+CURVES = """How long a relative error of the transfer takes (order 3, nine coefficients, relative
+RMS over random points), beside other ways to get there. All start from the same points and normals,
+take turns, and have the same threads.
 
-{table}
+- *PRT Baker* is the engine's own process. *Seconds* are its tracing, *the whole* takes in the
+  process, its files, finding the points, Embree's structure and the error estimate.
+- *Textbook* is Monte Carlo in numpy and embreex: random cosine-weighted directions, the basis for
+  every ray.
+- *Mitsuba* is its compiled LLVM kernel: visibility, basis and sums in registers, a lane a point,
+  with its usual (not robust) intersections; *independent* is its default sampler, *low-discrepancy*
+  the points of its `ldsampler`, the best of its own, *our directions* the baker's set and
+  correction, made in the kernel. Its whole takes in the acceleration structure and no compilation.
+- *Cycles* bakes diffuse light to vertices once for each signed part of each basis function, 17
+  times; three functions at once in red, green and blue would take a third of that. Its rays start
+  at the vertices themselves, which is sound on smooth meshes that touch nothing, so it is measured
+  on those only; what counts is its noise alone, by how far two seeds differ.
 
-## Rate
+"~" marks what lies beyond the measured range: the error falls on as over the last three counts of
+rays, and the seconds grow with the rays. "<" and ">" stand where the fewest rays err less already.
+"""
 
-A whole bake of the torus knot, from arrays to arrays in the engine's own process, beside a bare
-embreex loop over the same rays, taking turns. On a virtual machine the ratio varies between runs,
-0.67 to 0.77 was seen.
+TOLERANCE = """What a bake that was asked for an error (`--tolerance`) has at the baked points,
+measured over asked for, and in brackets the rays a point.
 
-```
-{rate}
-```
+"""
+
+REAL = """The demo under several of Blender's HDRIs and a scanned bust of 109,000 faces on a plane
+(npm `snowden`), baked from the command line with the default settings and `--verify`. The errors
+are relative RMS: of the transfer at the baked points and at random points of the surface, traced
+again with 16,384 rays, and of the whole picture in EEVEE against Cycles (diffuse, no bounces, 64
+samples, its noise included). The error on the surface is pooled over the scene, and single points
+weigh much in it: nearly all of the demo's comes from the rims of Suzanne's eyes, where light falls
+into a crevice narrower than a triangle. *Whole command* starts Blender, reads the scene, bakes,
+verifies and writes everything.
+
+"""
+
+SURFACE = """Relative RMS of the transfer at random places of the surface, interpolated as a
+renderer does it, at equal rays: values fitted to samples inside the triangles against values traced
+at the points.
+
+"""
+
+PICTURES = """Relative RMS of the pixels that show a mesh, in EEVEE against Cycles (white, diffuse,
+no bounces, the world's full HDRI), without Cycles' noise, in %.
+
+"""
+
+SCALE = """A displaced sheet under a thousand rocks, ten million triangles together.
+
+"""
+
+RATE = """A whole bake, from arrays to arrays in the engine's own process, beside a bare embreex
+loop over the same rays, taking turns.
+
 """
 
 
-def main() -> None:
-    """Both measurements, then the page."""
-    rate, table = run("bake_rate.py"), run("real_inputs.py")
-    packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
-    text = TEMPLATE.format(
-        machine=f"{processor()}, {platform.system()}, Python {platform.python_version()}",
-        packages=packages,
-        table=table,
-        rate=rate,
+@dataclass(frozen=True)
+class Section:
+    """A part of the page: its ``title``, what is ``said`` first, and how its figures are made; not
+    in the short form where that takes long."""
+
+    title: str
+    said: str
+    measure: Callable[[bool], str]
+    is_short: bool = False
+
+
+def curves(is_full: bool) -> str:
+    """Runs curves.py; its pictures, tables and notes."""
+    subprocess.run(
+        [sys.executable, HERE / "curves.py", *(["--full"] if is_full else [])], check=True
     )
-    PAGE.write_text(text, encoding="utf-8")
+    measured = measured_curves()
+    parts = [curves_page.table(measured), *curves_page.notes(measured)]
+    aims = "What is aimed at, tracing against tracing:"
+    return "\n\n".join(
+        [*parts, aims, curves_page.aims_table(measured), *curves_page.draw(measured)]
+    )
 
 
-def run(script: str) -> str:
-    """What a benchmark prints, its table or figures alone."""
-    command = [sys.executable, Path(__file__).with_name(script)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
-    print(done.stdout, flush=True)
-    lines = done.stdout.strip().splitlines()
-    table = [line for line in lines if line.startswith("|")]
-    return "\n".join(table or lines)
+def tolerance(_is_full: bool) -> str:
+    """What curves.py has found of it."""
+    return curves_page.tolerance_table(measured_curves())
 
 
-def processor() -> str:
-    """The machine, in words."""
-    from prt_baker.addon.prt.transfer import available_cores
+def measured_curves() -> curves_page.Measured:
+    """What curves.py has left."""
+    found: curves_page.Measured = json.loads((CACHE / "curves.json").read_text(encoding="utf-8"))
+    return found
 
-    model = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
-        model = names[0].partition(":")[2].strip() if names else model
-    return f"{available_cores()} cores of {model}"
+
+def script(name: str) -> Callable[[bool], str]:
+    """What the benchmark ``name`` prints: Markdown where it has tables, else as it stands."""
+
+    def run(_is_full: bool) -> str:
+        done = subprocess.run(
+            [sys.executable, HERE / name], check=True, stdout=subprocess.PIPE, text=True
+        )
+        printed = done.stdout.strip()
+        is_table = any(line.startswith("|") for line in printed.splitlines())
+        return printed if is_table else f"```\n{printed}\n```"
+
+    return run
+
+
+SECTIONS = (
+    Section("Error against run time", CURVES, curves, is_short=True),
+    Section("The error that was asked for", TOLERANCE, tolerance, is_short=True),
+    Section("Rate", RATE, script("bake_rate.py"), is_short=True),
+    Section("Error on the surface", SURFACE, script("surface_error.py")),
+    Section("Pictures", PICTURES, script("pictures.py")),
+    Section("Scale", SCALE, script("scale.py")),
+    Section("Real inputs", REAL, script("real_inputs.py")),
+)
+
+
+def main() -> None:
+    """Measure section by section; the page is written after each, so none is lost."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--full", action="store_true", help="every section, larger scenes")
+    titles = [section.title for section in SECTIONS]
+    parser.add_argument("--section", action="append", choices=titles, help="only this one")
+    asked = parser.parse_args()
+    for section in SECTIONS:
+        is_asked = section.title in asked.section if asked.section else asked.full
+        if is_asked or (section.is_short and not asked.section):
+            print(f"## {section.title}", flush=True)
+            figures = section.measure(asked.full)
+            print(figures, flush=True)
+            write(section, f"{section.said}{where(asked.full)}\n\n{figures}")
+
+
+def where(is_full: bool) -> str:
+    """The machine and the versions, in words."""
+    machine = about_machine()
+    form = "full" if is_full else "short"
+    return (
+        f"*Measured in the {form} form: {machine['cores']} cores of {machine['processor']}, "
+        f"{machine['system']}, Python {machine['python']}, {versions()}.*"
+    )
+
+
+def versions() -> str:
+    """Of the packages that are installed."""
+    found = []
+    for name in PACKAGES:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            continue
+    return ", ".join(found)
+
+
+def write(section: Section, text: str) -> None:
+    """Put ``text`` into the page as ``section``; the others stay."""
+    old = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
+    parts = dict(part.split("\n", 1) for part in old.split("\n## ")[1:])
+    parts[section.title] = f"\n{text}\n"
+    order = [s.title for s in SECTIONS if s.title in parts]
+    body = "".join(f"\n## {title}\n{parts[title].rstrip()}\n" for title in order)
+    PAGE.write_text(HEAD + body, encoding="utf-8")
 
 
 if __name__ == "__main__":

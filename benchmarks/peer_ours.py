@@ -36,9 +36,14 @@ def bake(scene: Scene, chosen: jobs.Settings) -> Baked:
     with engine.job_folder() as folder:
         results = finish(engine.run(job, folder))
     seconds = time.perf_counter() - start
-    transfer = np.concatenate([r.transfer[:, 0] for r in results.receivers])
+    transfer = np.concatenate([whole_order(r.transfer[:, 0]) for r in results.receivers])
     tracing = sum(entry["seconds"][TRACING] for entry in results.report["objects"])
     return Baked(seconds, tracing, transfer, results.report)
+
+
+def whole_order(transfer: np.ndarray) -> np.ndarray:
+    """``transfer`` (P, m²) with zeros (P, 9) for bands that were not worth storing."""
+    return np.pad(transfer, ((0, 0), (0, 9 - transfer.shape[1])))
 
 
 def finish(steps: Any) -> jobs.Results:

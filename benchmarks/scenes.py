@@ -10,9 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from peers import Worker
 from prt_baker.addon.prt import job as jobs
 from prt_baker.addon.prt.points import Points, distinct_points
 
@@ -30,15 +32,15 @@ NOTHING: Mesh = (np.empty((0, 3)), np.empty((0, 3), np.int32))
 class Scene:
     """Receivers, which are occluders too, and ``others``, which only cast shadows.
 
-    ``cycles_is_fair`` where a vertex of the mesh is a sound place to start a ray from: Cycles bakes
-    there, everybody else a little off it.
+    ``is_fair_to_cycles`` where a vertex of the mesh is a sound place to start a ray from: Cycles
+    bakes there, everybody else a little off it.
     """
 
     name: str
     title: str
     receivers: tuple[jobs.Receiver, ...]
     others: Mesh = NOTHING
-    cycles_is_fair: bool = False
+    is_fair_to_cycles: bool = False
 
     def job(self, settings: jobs.Settings) -> jobs.Job:
         """The bake of this scene's transfer, in world coordinates."""
@@ -91,22 +93,39 @@ def smooth(vertices: Array, triangles: Array, name: str) -> jobs.Receiver:
     return shapes.receiver(vertices, triangles, smooth_normals(vertices, triangles), name)
 
 
+def elsewhere(module: str, function: str, *arguments: Any) -> Any:
+    """The value of a ``function`` whose module needs bpy, which puts folders of its own into the
+    path that later competitors' processes would start with."""
+    worker = Worker(module)
+    try:
+        return worker.ask(function, *arguments)
+    finally:
+        worker.close()
+
+
 def suzanne() -> Scene:
     """Blender's monkey, subdivided twice, alone."""
+    vertices, triangles = elsewhere("scenes", "monkey")
+    return Scene(
+        "suzanne", "Suzanne", (smooth(vertices, triangles, "suzanne"),), is_fair_to_cycles=True
+    )
+
+
+def monkey() -> Mesh:
+    """Its subdivided mesh out of Blender."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.mesh.primitive_monkey_add()
-    monkey = bpy.context.object
-    monkey.modifiers.new("fine", "SUBSURF").levels = 2
-    mesh = monkey.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
+    head = bpy.context.object
+    head.modifiers.new("fine", "SUBSURF").levels = 2
+    mesh = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
     mesh.calc_loop_triangles()
     vertices = np.empty((len(mesh.vertices), 3), np.float32)
     triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
     mesh.vertices.foreach_get("co", vertices.reshape(-1))
     mesh.loop_triangles.foreach_get("vertices", triangles.reshape(-1))
-    receiver = smooth(vertices, triangles, "suzanne")
-    return Scene("suzanne", "Suzanne", (receiver,), cycles_is_fair=True)
+    return vertices, triangles
 
 
 def knot() -> Scene:
@@ -115,7 +134,7 @@ def knot() -> Scene:
     count = len(receiver.vertices)
     outside = triangles[(triangles >= count).all(axis=1)] - count
     others = (vertices[count:], outside)
-    return Scene("knot", "torus knot, floor and wall", (receiver,), others, cycles_is_fair=True)
+    return Scene("knot", "torus knot, floor and wall", (receiver,), others, is_fair_to_cycles=True)
 
 
 def cortex() -> Scene:
@@ -127,7 +146,7 @@ def cortex() -> Scene:
     vertices, triangles = gifti(gzip.decompress(file.read_bytes()))
     # to units of ten centimetres, the left side's outside towards -x as it is
     receiver = smooth(vertices / 100, triangles, "cortex")
-    return Scene("cortex", "cortex", (receiver,), cycles_is_fair=True)
+    return Scene("cortex", "cortex", (receiver,), is_fair_to_cycles=True)
 
 
 def gifti(text: bytes) -> Mesh:
@@ -145,11 +164,9 @@ def gifti(text: bytes) -> Mesh:
 
 def snowden() -> Scene:
     """The scanned bust of npm's ``snowden`` on a plane."""
-    from real_inputs import snowden as package
-
     folder = CACHE / "snowden"
     folder.mkdir(parents=True, exist_ok=True)
-    vertices, triangles = package(folder)
+    vertices, triangles = elsewhere("real_inputs", "snowden", folder)
     upright = (vertices[:, [0, 2, 1]] * (1, -1, 1)).astype(np.float64)
     upright = (upright - upright.min(axis=0)) / np.ptp(upright, axis=0).max() * 2
     floor = shapes.grid([-4, -4, 0], [8, 0, 0], [0, 8, 0], 1)
