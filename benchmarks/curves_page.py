@@ -249,7 +249,7 @@ def draw_scene(scene: Measured, file: Path) -> None:
     """Error against seconds of every method, both in logarithms."""
     from matplotlib import pyplot
 
-    figure_, axes = pyplot.subplots(figsize=(6.4, 4.2), dpi=100, layout="constrained")
+    figure_, axes = pyplot.subplots(figsize=(6.4, 4.6), dpi=100, layout="constrained")
     for method, curve in scene["methods"].items():
         look, errors = LOOKS[method], [100 * run[error_key(method)] for run in curve]
         drawn = {"color": look.color, "marker": look.marker, "markersize": 5}
@@ -265,6 +265,8 @@ def draw_scene(scene: Measured, file: Path) -> None:
     axes.set_xlabel("seconds")
     axes.set_ylabel("relative RMS error of the transfer, %")
     axes.grid(which="major", color="0.9", zorder=0)
-    axes.legend(fontsize=7)
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_major_formatter("{x:g}")
+    figure_.legend(loc="outside lower center", ncols=3, fontsize=7, frameon=False)
     figure_.savefig(file)
     pyplot.close(figure_)

@@ -9,7 +9,7 @@ from prt_baker.addon import engine
 from prt_baker.addon.prt import job as jobs
 from scenes import Scene
 
-TRACING = "transfer"  # the phase of the report
+TRACING = ("effort", "transfer")  # the report's phases: what may be skipped, and the rays
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def bake(scene: Scene, chosen: jobs.Settings) -> Baked:
         results = finish(engine.run(job, folder))
     seconds = time.perf_counter() - start
     transfer = np.concatenate([whole_order(r.transfer[:, 0]) for r in results.receivers])
-    tracing = sum(entry["seconds"][TRACING] for entry in results.report["objects"])
+    tracing = sum(results.report["seconds"].get(phase, 0.0) for phase in TRACING)
     return Baked(seconds, tracing, transfer, results.report)
 
 
