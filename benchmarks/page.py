@@ -51,7 +51,6 @@ rays, and the seconds grow with the rays. "<" and ">" stand where the fewest ray
 
 TOLERANCE = """What a bake that was asked for an error (`--tolerance`) has at the baked points,
 measured over asked for, and in brackets the rays a point.
-
 """
 
 REAL = """The demo under several of Blender's HDRIs and a scanned bust of 109,000 faces on a plane
@@ -62,27 +61,22 @@ samples, its noise included). The error on the surface is pooled over the scene,
 weigh much in it: nearly all of the demo's comes from the rims of Suzanne's eyes, where light falls
 into a crevice narrower than a triangle. *Whole command* starts Blender, reads the scene, bakes,
 verifies and writes everything.
-
 """
 
 SURFACE = """Relative RMS of the transfer at random places of the surface, interpolated as a
 renderer does it, at equal rays: values fitted to samples inside the triangles against values traced
 at the points.
-
 """
 
 PICTURES = """Relative RMS of the pixels that show a mesh, in EEVEE against Cycles (white, diffuse,
 no bounces, the world's full HDRI), without Cycles' noise, in %.
-
 """
 
 SCALE = """A displaced sheet under a thousand rocks, ten million triangles together.
-
 """
 
 RATE = """A whole bake, from arrays to arrays in the engine's own process, beside a bare embreex
 loop over the same rays, taking turns.
-
 """
 
 
@@ -159,7 +153,7 @@ def main() -> None:
             print(f"## {section.title}", flush=True)
             figures = section.measure(asked.full)
             print(figures, flush=True)
-            write(section, f"{section.said}{where(asked.full)}\n\n{figures}")
+            write(section, f"{section.said}\n{where(asked.full)}\n\n{figures}")
 
 
 def where(is_full: bool) -> str:
