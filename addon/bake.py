@@ -29,10 +29,10 @@ from . import (
 )
 from .prt import job as jobs
 from .prt import layout as layouts
-from .prt import residual
 from .prt.errors import BakeError
 from .prt.layout import Layout
-from .prt.light import world_sh
+from .prt.light import residual
+from .prt.light.projection import world_sh
 from .world import WorldLight
 
 Report = dict[str, Any]

@@ -12,10 +12,10 @@ import bpy
 import numpy as np
 import numpy.typing as npt
 
-from .prt import residual
 from .prt.job import Peak
 from .prt.layout import Layout
-from .prt.residual import Terms
+from .prt.light import residual
+from .prt.light.residual import Terms
 
 KEY = "prt_light"
 SAME = 1e-6  # of a light: two readings of one world differ by rounding

@@ -13,7 +13,7 @@ from bpy.app.handlers import persistent
 from . import engine, light_state, world, writeback
 from .light_state import Coefficients, LightState
 from .prt.errors import BakeError
-from .prt.light import world_sh
+from .prt.light.projection import world_sh
 from .world import SimpleWorld
 
 WATCHED = ("WORLD", "NODETREE", "IMAGE")

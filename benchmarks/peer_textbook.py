@@ -11,7 +11,7 @@ from importlib.metadata import version
 
 import numpy as np
 from peers import Traced, World
-from prt_baker.addon.prt.rays import Occlusion, occlusion
+from prt_baker.addon.prt.tracing.rays import Occlusion, occlusion
 
 Array = np.ndarray
 

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 from peers import Worker
 from prt_baker.addon.prt import job as jobs
-from prt_baker.addon.prt.points import Points, distinct_points
+from prt_baker.addon.prt.surface.points import Points, distinct_points
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "engine"))
 import shapes

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from prt_baker.addon.prt import transfer
-from prt_baker.addon.prt.buried import buried
 from prt_baker.addon.prt.job import Receiver, Settings
-from prt_baker.addon.prt.points import Points, Surface, distinct_points, element_triangles
-from prt_baker.addon.prt.rays import occlusion
-from prt_baker.addon.prt.samples import random_places, starts
-from prt_baker.addon.prt.vertices import Solved, solve
+from prt_baker.addon.prt.surface.points import Points, Surface, distinct_points, element_triangles
+from prt_baker.addon.prt.surface.samples import random_places, starts
+from prt_baker.addon.prt.tracing import transfer
+from prt_baker.addon.prt.tracing.buried import buried
+from prt_baker.addon.prt.tracing.rays import occlusion
+from prt_baker.addon.prt.vertex.solver import Solved, solve
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "engine"))
 import shapes

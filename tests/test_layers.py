@@ -16,12 +16,26 @@ NATIVE = {"embreex", "xatlas", "OpenEXR"}
 THREADS = {"threading", "concurrent", "_thread"}
 BLENDER = {"bpy", "bpy_extras", "mathutils"}
 
+# part of the engine: the parts of it that it may import beside itself and the modules at its root
+ENGINE = {
+    "files": set[str](),
+    "surface": set[str](),
+    "tracing": {"surface"},
+    "light": {"files", "surface", "tracing"},
+    "vertex": {"surface", "tracing"},
+}
+WHOLE_ENGINE = {"addon/prt", *(f"addon/prt/{part}" for part in ENGINE)}
+PACKAGES = NATIVE | THREADS | {"numpy"}
 # part: (the parts that it may import, the packages that it may import)
 LAYERS = {
-    "addon/prt": ({"addon/prt"}, NATIVE | THREADS | {"numpy"}),
-    "addon": ({"addon", "addon/prt"}, BLENDER | {"numpy", "io_scene_gltf2"}),
-    "operators": ({"operators", "addon", "addon/prt"}, BLENDER),
-    "ui": ({"ui", "addon", "addon/prt"}, BLENDER),
+    **{
+        f"addon/prt/{part}": ({"addon/prt", *(f"addon/prt/{p}" for p in {part, *below})}, PACKAGES)
+        for part, below in ENGINE.items()
+    },
+    "addon/prt": (WHOLE_ENGINE, PACKAGES),
+    "addon": ({"addon", *WHOLE_ENGINE}, BLENDER | {"numpy", "io_scene_gltf2"}),
+    "operators": ({"operators", "addon", *WHOLE_ENGINE}, BLENDER),
+    "ui": ({"ui", "addon", *WHOLE_ENGINE}, BLENDER),
     "": ({"", "operators", "ui", "addon"}, BLENDER),
 }
 FUNCTION_LINES, MODULE_LINES = 60, 400
@@ -157,6 +171,9 @@ def test_every_part_is_installed(root):
         ("addon/prt/sh.py", "from .. import stamp"),
         ("addon/prt/sh.py", "from ..stamp import Stamp"),
         ("addon/prt/sh.py", "def late():\n    import bpy"),
+        ("addon/prt/surface/points.py", "from ..tracing import rays"),
+        ("addon/prt/tracing/rays.py", "from ..vertex.fit import Fit"),
+        ("addon/prt/light/world.py", "from ...stamp import Stamp"),
         ("addon/scene.py", "import scipy"),
         ("addon/scene.py", "import embreex"),
         ("addon/scene.py", "import threading"),
@@ -181,6 +198,7 @@ def test_a_breach_is_found(path, line):
     [
         ("addon/prt/rays.py", "from . import sh\nfrom .job import Job\nimport embreex, json"),
         ("addon/prt/rays.py", "from concurrent.futures import ThreadPoolExecutor"),
+        ("addon/prt/light/world.py", "from ..tracing.rays import Occlusion\nfrom .. import sh"),
         ("addon/scene.py", "import bpy\nfrom .prt import sh\nfrom .prt.job import Job"),
         ("operators/bake.py", "from ..addon import scene\nfrom .driver import run"),
         ("ui/panel.py", "import bpy\nfrom ..addon import stamp"),

@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 import demo_scene
 import numpy as np
-from prt_baker.addon.prt import images
+from prt_baker.addon.prt.files import images
 
 WIDTH, HEIGHT, SAMPLES = 640, 360, 64
 

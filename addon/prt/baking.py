@@ -11,16 +11,16 @@ import numpy.typing as npt
 
 from .cache import Cache, Keys
 from .errors import BakeError
-from .exact_world import World
-from .horizon import Surroundings
 from .job import Job, Progress, ReceiverResult
+from .light.world import World
 from .meter import Meter
-from .points import Points, distinct_points
-from .rays import Occlusion, occlusion
+from .surface.points import Points, distinct_points
 from .tape import Remembered, Tape
-from .tolerance import FALL, Effort, effort
-from .transfer import CAST, MAP_RAYS, Counts, Shortcuts, estimate_error, trace_all
-from .vertices import Solved, solve
+from .tracing.horizon import Surroundings
+from .tracing.rays import Occlusion, occlusion
+from .tracing.tolerance import FALL, Effort, effort
+from .tracing.transfer import CAST, MAP_RAYS, Counts, Shortcuts, estimate_error, trace_all
+from .vertex.solver import Solved, solve
 
 Array = npt.NDArray[np.float32]
 Entry = dict[str, Any]

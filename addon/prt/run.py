@@ -8,15 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from . import VERSION, bands, images, rays
+from . import VERSION, bands
 from .baking import Baked, Scene, bake
 from .cache import Cache
-from .exact_world import World
+from .files import images
 from .job import Job, Progress, Receiver, ReceiverResult, Results, content_hash
+from .light.world import World
 from .meter import Meter
-from .points import Points, distinct_points
-from .traced import Traced
+from .surface.points import Points, distinct_points
+from .tracing import rays
 from .verify import measure
+from .vertex.traced import Traced
 
 Entry = dict[str, Any]
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .cache import Cache
-from .rays import Mask, Occlusion, Vectors
+from .tracing.rays import Mask, Occlusion, Vectors
 
 Bits = npt.NDArray[np.uint8]
 

@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from . import sh
-from .buried import buried, rays_for
-from .hemisphere import cosine_fibonacci, frames
 from .job import Receiver, Settings
-from .points import Float, Points, Surface, element_triangles
-from .rays import Occlusion
-from .samples import random_places, starts
-from .traced import Traced
-from .transfer import relative_rms
+from .surface.points import Float, Points, Surface, element_triangles
+from .surface.samples import random_places, starts
+from .tracing.buried import buried, rays_for
+from .tracing.hemisphere import cosine_fibonacci, frames
+from .tracing.rays import Occlusion
+from .tracing.transfer import relative_rms
+from .vertex.traced import Traced
 
 EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 13), [np.inf]])  # of relative errors
 

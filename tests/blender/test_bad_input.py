@@ -11,7 +11,8 @@ import snapshot
 from mathutils import Matrix
 from meshes import MIRRORED, SHEARED, ball, cube, mesh_of, place
 from prt_baker.addon import attributes, cli, stamp
-from prt_baker.addon.prt import images, sh
+from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.files import images
 from worlds import environment, loaded, new_world, picture
 
 

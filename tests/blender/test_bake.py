@@ -24,8 +24,9 @@ from prt_baker.addon import (
 )
 from prt_baker.addon import scene as scene_arrays
 from prt_baker.addon.prt import job as jobs
-from prt_baker.addon.prt import light, run
+from prt_baker.addon.prt import run
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.light import projection
 from worlds import environment, generated, loaded, picture
 
 FEW = Settings(rays=32, seed=5, threads=1)
@@ -119,8 +120,8 @@ def test_the_scene_holds_what_the_engine_computes(scene, tmp_path):
 def test_the_light_is_that_of_the_world(scene, tmp_path):
     baked(scene, stage(scene))
     got = world.read(scene, bpy.context.evaluated_depsgraph_get(), tmp_path)
-    image_sh = light.project(got.source).image_sh
-    expected = light.world_sh(image_sh, got.source.strength, got.source.rotation)
+    image_sh = projection.project(got.source).image_sh
+    expected = projection.world_sh(image_sh, got.source.strength, got.source.rotation)
     state = light_state.read(scene)
     np.testing.assert_allclose(state.radiance_sh, expected, atol=1e-6)
     np.testing.assert_array_equal(state.baked_radiance_sh, state.radiance_sh)

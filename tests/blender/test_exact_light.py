@@ -10,10 +10,10 @@ from bakes import principled, quad
 from pictures import colour, look_down, render
 from prt_baker.addon import attributes, bake, engine, light_state, stamp, writeback
 from prt_baker.addon.prt import job as jobs
-from prt_baker.addon.prt import light, residual
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.job import Peak, ReceiverResult, Results, Settings
 from prt_baker.addon.prt.layout import Layout
+from prt_baker.addon.prt.light import projection, residual
 from worlds import environment, generated, new_world, picture
 
 PEAK = Peak((0.6, 0.0, 0.8), (0.3, 0.2, 0.1), 0.05)
@@ -36,7 +36,7 @@ class Engine:
     def __call__(self, job, _folder):
         yield jobs.Progress("transfer", 0.5)
         self.jobs.append(job)
-        image_sh = light.project(job.light).image_sh if job.light else None
+        image_sh = projection.project(job.light).image_sh if job.light else None
         measured = {"on_surface": 0.03, "at_points": 0.01, "light_on_surface": 0.02}
         entries = [
             {"name": receiver.name, "points": 4, "mrays_per_second": 1.0, "rays_per_point": 77.6}

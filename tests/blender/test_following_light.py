@@ -8,8 +8,8 @@ from bakes import principled
 from meshes import ball, place
 from pictures import colour, look_down, render, render_frames
 from prt_baker.addon import attributes, bake, engine, light_state, stamp, world, writeback
-from prt_baker.addon.prt import lat_long, light
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.light import lat_long, projection
 from worlds import environment, loaded, picture
 
 ALBEDO = np.array([0.8, 0.6, 0.4])
@@ -139,7 +139,7 @@ def test_a_swapped_image_starts_the_engine_for_its_light_alone(scene, tmp_path, 
         bpy.context.view_layer.update()
     assert [job.kind for job in jobs] == ["light"]
     got = world.read(scene, bpy.context.evaluated_depsgraph_get(), tmp_path)
-    expected = light.world_sh(
-        light.project(got.source).image_sh, got.source.strength, got.source.rotation
+    expected = projection.world_sh(
+        projection.project(got.source).image_sh, got.source.strength, got.source.rotation
     )
     np.testing.assert_allclose(shown(scene), expected, atol=1e-6)

@@ -6,21 +6,22 @@ import pytest
 from bakes import principled, quad, write
 from prt_baker.addon import engine, light_state, live_light, world, writeback
 from prt_baker.addon.light_state import LightState
-from prt_baker.addon.prt import images, light
+from prt_baker.addon.prt.files import images
 from prt_baker.addon.prt.layout import Layout
+from prt_baker.addon.prt.light import projection
 from worlds import environment, generated, loaded, new_world, picture
 
 
 def world_light(scene, folder):
     """What a projection from the beginning says: the world's reading, and its image_sh."""
     got = world.read(scene, bpy.context.evaluated_depsgraph_get(), folder)
-    return got, light.project(got.source).image_sh
+    return got, projection.project(got.source).image_sh
 
 
 def truth(scene, folder):
     """The light (25, 3) of the world as it is."""
     got, image_sh = world_light(scene, folder)
-    return light.world_sh(image_sh, got.source.strength, got.source.rotation)
+    return projection.world_sh(image_sh, got.source.strength, got.source.rotation)
 
 
 def bake(scene, folder, follows=True):

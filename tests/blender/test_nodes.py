@@ -11,9 +11,10 @@ from mathutils import Matrix
 from pictures import colour, look_down, pixel_centres, render
 from prt_baker.addon import carrier, stamp, writeback
 from prt_baker.addon.light_state import LightState
-from prt_baker.addon.prt import residual, sh
+from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.job import Peak
 from prt_baker.addon.prt.layout import Layout
+from prt_baker.addon.prt.light import residual
 
 ALBEDO = np.array([0.9, 0.7, 0.5])
 LAYOUTS = [Layout(order) for order in (2, 3, 4, 5)] + [Layout(order, 3) for order in (2, 3, 4)]

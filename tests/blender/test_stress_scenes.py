@@ -14,7 +14,7 @@ from prt_baker.addon import bake
 from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.job import Settings
-from prt_baker.addon.prt.transfer import relative_rms
+from prt_baker.addon.prt.tracing.transfer import relative_rms
 from worlds import environment, new_world
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -5,8 +5,10 @@ from dataclasses import replace
 import bpy
 import numpy as np
 from prt_baker.addon import scene as scenes
-from prt_baker.addon.prt import points, rays, transfer, verify
+from prt_baker.addon.prt import verify
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.surface import points
+from prt_baker.addon.prt.tracing import rays, transfer
 
 
 def trace(places, sky, count, seed):

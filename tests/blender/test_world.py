@@ -7,8 +7,9 @@ import bpy
 import numpy as np
 import pytest
 from prt_baker.addon import world, world_images, world_render
-from prt_baker.addon.prt import images, lat_long, light
 from prt_baker.addon.prt.errors import BakeError
+from prt_baker.addon.prt.files import images
+from prt_baker.addon.prt.light import lat_long, projection
 from worlds import environment, generated, loaded, new_world, picture
 
 TYPES = ("POINT", "TEXTURE", "VECTOR", "NORMAL")
@@ -21,7 +22,9 @@ def read(scene, folder=Path()):
 
 def radiance_sh(source):
     """Coefficients (25, 3) of the light that ``source`` is."""
-    return light.world_sh(light.project(source).image_sh, source.strength, source.rotation)
+    return projection.world_sh(
+        projection.project(source).image_sh, source.strength, source.rotation
+    )
 
 
 def rendered_sh(scene):
@@ -51,7 +54,7 @@ def test_reading_a_turned_map_agrees_with_rendering_it(scene, quick, kind):
     got = read(scene)
     assert got.follows
     assert difference(radiance_sh(got.source), rendered_sh(scene)) < 0.01
-    assert difference(light.project(got.source).image_sh * 1.5, rendered_sh(scene)) > 0.1
+    assert difference(projection.project(got.source).image_sh * 1.5, rendered_sh(scene)) > 0.1
 
 
 @pytest.mark.parametrize("how", ["file", "packed", "painted", "direct"])
@@ -69,7 +72,7 @@ def test_every_kind_of_image_reads_the_same(scene, tmp_path, how):
     assert got.follows
     assert got.image_key
     plain = lat_long.project(pixels, 5)
-    np.testing.assert_allclose(light.project(got.source).image_sh, plain, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(projection.project(got.source).image_sh, plain, rtol=1e-5, atol=1e-5)
     assert (got.source.image is None) == (how in ("painted", "direct"))
 
 
@@ -81,7 +84,7 @@ def test_a_generated_image_that_was_packed_is_read_from_its_bytes(scene, tmp_pat
     got = read(scene, tmp_path)
     assert got.source.image is not None
     plain = lat_long.project(pixels, 5)
-    np.testing.assert_allclose(light.project(got.source).image_sh, plain, rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(projection.project(got.source).image_sh, plain, rtol=2e-3, atol=2e-3)
 
 
 def test_a_path_is_relative_to_the_blend_file(scene, tmp_path):

@@ -2,7 +2,7 @@
 
 import bpy
 import numpy as np
-from prt_baker.addon.prt import images
+from prt_baker.addon.prt.files import images
 
 
 def new_world(scene):

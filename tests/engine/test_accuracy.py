@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import shapes
-from prt_baker.addon.prt import rays
-from prt_baker.addon.prt.transfer import relative_rms
+from prt_baker.addon.prt.tracing import rays
+from prt_baker.addon.prt.tracing.transfer import relative_rms
 from prt_baker.addon.prt.verify import random_surface_points
 from test_transfer import at, trace
 

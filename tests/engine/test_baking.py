@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import shapes
 from prt_baker.addon.prt import job as jobs
-from prt_baker.addon.prt import points, rays, residual, transfer
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.layout import Values
-from prt_baker.addon.prt.light import world_sh
+from prt_baker.addon.prt.light import residual
+from prt_baker.addon.prt.light.projection import world_sh
 from prt_baker.addon.prt.run import run
+from prt_baker.addon.prt.surface import points
+from prt_baker.addon.prt.tracing import rays, transfer
 from test_run import finish
 
 
@@ -94,7 +96,7 @@ def test_what_moves_below_a_floor_changes_nothing_for_it(job):
 
 def exact(job, result):
     """Exit radiance at the traced points by every texel of the map."""
-    from prt_baker.addon.prt import lat_long
+    from prt_baker.addon.prt.light import lat_long
 
     receiver = job.receivers[1]
     where = points.distinct_points(receiver)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import buried, points, rays
 from prt_baker.addon.prt.job import Job, LightSource, Settings
 from prt_baker.addon.prt.run import run
+from prt_baker.addon.prt.surface import points
+from prt_baker.addon.prt.tracing import buried, rays
 
 
 def floor_and_crate(inward=False):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt.convex import is_convex
+from prt_baker.addon.prt.surface.convex import is_convex
 from scipy.spatial import ConvexHull
 
 

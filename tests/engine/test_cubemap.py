@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from prt_baker.addon.prt import cubemap, lat_long, sh
+from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.light import cubemap, lat_long
 
 # What each face looks at, in Blender's axes: files have +Y up and +Z ahead
 AHEAD = [(1, 0, 0), (-1, 0, 0), (0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0)]

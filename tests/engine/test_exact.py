@@ -5,8 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import hemisphere, images, lat_long, light, points, rays, samples, sh
-from prt_baker.addon.prt.exact import CELLS, ExactLight, cells
+from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.files import images
+from prt_baker.addon.prt.light import lat_long, projection
+from prt_baker.addon.prt.light.exact import CELLS, ExactLight, cells
+from prt_baker.addon.prt.surface import points, samples
+from prt_baker.addon.prt.tracing import hemisphere, rays
 from scipy.spatial.transform import Rotation
 
 RAYS = 64
@@ -97,7 +101,7 @@ def test_strength_and_rotation_are_those_of_the_world():
     rotation = Rotation.random(random_state=1).as_matrix()
     strength = np.array([2, 0.5, 0])
     turned = ExactLight(pixels, rotation, strength, MAP_RAYS, 0).open_exit_radiance(normals)
-    image_sh = light.world_sh(lat_long.project(pixels, 5), strength, rotation)
+    image_sh = projection.world_sh(lat_long.project(pixels, 5), strength, rotation)
     smooth = (sh.open_transfer(normals, 5) @ image_sh)[:, :2]
     assert np.abs(turned[:, :2] - smooth).max() < 0.04 * smooth.max()
     np.testing.assert_array_equal(turned[:, 2], 0)
@@ -245,7 +249,7 @@ def test_the_light_of_real_pictures_on_the_knot():
     ]
     errors = []
     for file in studio_lights():
-        pixels = light.repair(images.read(str(file)))[0]
+        pixels = projection.repair(images.read(str(file)))[0]
         pixels = pixels.reshape(128, 4, 256, 4, 3).mean(axis=(1, 3))
         exact = ExactLight(pixels, np.eye(3), (1, 1, 1), 258, 0)
         expected = np.array([s.irradiance(pixels) for s in shadows]) / pi
@@ -259,7 +263,7 @@ def test_the_light_of_real_pictures_on_the_knot():
 @pytest.mark.parametrize("file", studio_lights(), ids=lambda file: file.stem)
 def test_the_open_light_of_real_pictures_is_that_of_all_their_texels(file):
     """Surfaces that the brightest texel grazes among them."""
-    pixels = light.repair(images.read(str(file)))[0]
+    pixels = projection.repair(images.read(str(file)))[0]
     place = np.unravel_index(pixels.sum(axis=2).argmax(), pixels.shape[:2])
     sun = lat_long.directions(*pixels.shape[:2])[place]
     normals = np.concatenate([unit(20), np.cross(unit(20), sun)])

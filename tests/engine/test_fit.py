@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import fit, fit_mesh
-from prt_baker.addon.prt.points import Surface
-from prt_baker.addon.prt.samples import Places, random_places, starts, stratified_places
+from prt_baker.addon.prt.surface.points import Surface
+from prt_baker.addon.prt.surface.samples import Places, random_places, starts, stratified_places
+from prt_baker.addon.prt.vertex import fit, fit_mesh
 
 
 def sphere():

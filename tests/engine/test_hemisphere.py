@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from prt_baker.addon.prt import hemisphere, sh
+from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.tracing import hemisphere
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import horizon, points, rays, sh, transfer
+from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.surface import points
+from prt_baker.addon.prt.tracing import horizon, rays, transfer
 
 
 def rotation(seed):

@@ -3,8 +3,8 @@ import struct
 import numpy as np
 import OpenEXR
 import pytest
-from prt_baker.addon.prt import images, rgbe
 from prt_baker.addon.prt.errors import BakeError
+from prt_baker.addon.prt.files import images, rgbe
 
 RNG_SHAPE = (24, 48, 3)
 COMPRESSIONS = ["NO", "RLE", "ZIPS", "ZIP", "PIZ"]

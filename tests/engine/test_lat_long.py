@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from prt_baker.addon.prt import lat_long, sh
+from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.light import lat_long
 
 SIZES = [(1, 1), (1, 2), (2, 4), (3, 5), (37, 90), (64, 128), (256, 512)]
 

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
-from prt_baker.addon.prt import cubemap, images, lat_long, light, sh
+from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.errors import BakeError
+from prt_baker.addon.prt.files import images
 from prt_baker.addon.prt.job import LightSource
+from prt_baker.addon.prt.light import cubemap, lat_long, projection
 from scipy.spatial.transform import Rotation
 
 SOUND = {"negative": 0, "nan": 0, "infinite": 0}
@@ -19,7 +21,7 @@ def radiance(directions):
 
 
 def test_no_picture_is_the_constant_one():
-    projected = light.project(LightSource(strength=(3, 2, 1)))
+    projected = projection.project(LightSource(strength=(3, 2, 1)))
     values = sh.evaluate(projected.image_sh, np.eye(3))
     np.testing.assert_allclose(values, 1, atol=1e-14)
     assert projected.image_sh.shape == (25, 3)
@@ -27,8 +29,8 @@ def test_no_picture_is_the_constant_one():
 
 
 def test_a_colour_is_the_same_light_as_a_picture_of_it():
-    colour = light.project(LightSource()).image_sh
-    white = light.project(LightSource(pixels=np.ones((8, 16, 3), np.float32))).image_sh
+    colour = projection.project(LightSource()).image_sh
+    white = projection.project(LightSource(pixels=np.ones((8, 16, 3), np.float32))).image_sh
     np.testing.assert_allclose(colour, white, atol=1e-12)
 
 
@@ -36,7 +38,7 @@ def test_a_picture_is_read_and_projected_without_strength_and_rotation(tmp_path,
     path = str(tmp_path / "light.exr")
     images.write_exr(path, pixels)
     turn = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    projected = light.project(LightSource(strength=(9, 9, 9), image=path, rotation=turn))
+    projected = projection.project(LightSource(strength=(9, 9, 9), image=path, rotation=turn))
     np.testing.assert_array_equal(projected.image_sh, lat_long.project(pixels, 5))
     assert (projected.width, projected.height) == (64, 32)
     assert projected.repairs == SOUND
@@ -44,12 +46,12 @@ def test_a_picture_is_read_and_projected_without_strength_and_rotation(tmp_path,
 
 def test_a_file_that_cannot_be_read_is_one_sentence(tmp_path):
     with pytest.raises(BakeError, match=r"none\.hdr"):
-        light.project(LightSource(image=str(tmp_path / "none.hdr")))
+        projection.project(LightSource(image=str(tmp_path / "none.hdr")))
 
 
 def test_a_picture_without_pixels_is_one_sentence():
     with pytest.raises(BakeError, match="no pixels"):
-        light.project(LightSource(pixels=np.empty((0, 0, 3), np.float32)))
+        projection.project(LightSource(pixels=np.empty((0, 0, 3), np.float32)))
 
 
 def test_a_picture_in_the_shape_of_a_cross_is_a_cubemap():
@@ -61,8 +63,8 @@ def test_a_picture_in_the_shape_of_a_cross_is_a_cubemap():
         part[:] = radiance(cubemap.directions(face, size))
     sphere = radiance(lat_long.directions(128, 256)).astype(np.float32)
     np.testing.assert_allclose(
-        light.project(LightSource(pixels=cross, may_be_cubemap=True)).image_sh,
-        light.project(LightSource(pixels=sphere)).image_sh,
+        projection.project(LightSource(pixels=cross, may_be_cubemap=True)).image_sh,
+        projection.project(LightSource(pixels=sphere)).image_sh,
         atol=2e-3,
     )
 
@@ -71,14 +73,14 @@ def test_a_picture_in_the_shape_of_a_cross_is_a_cubemap():
 def test_a_picture_of_any_other_shape_is_lat_long(shape):
     values = np.random.default_rng(1).random((*shape, 3), np.float32)
     expected = lat_long.project(values, 5)
-    np.testing.assert_array_equal(light.project(LightSource(pixels=values)).image_sh, expected)
+    np.testing.assert_array_equal(projection.project(LightSource(pixels=values)).image_sh, expected)
 
 
 def test_the_worlds_light_is_strength_times_the_image_at_the_rotated_direction():
     image_sh = np.random.default_rng(2).normal(size=(25, 3))
     rotation = Rotation.random(random_state=3).as_matrix()
     directions = np.eye(3)
-    world = sh.evaluate(light.world_sh(image_sh, (3, 2, 1), rotation), directions)
+    world = sh.evaluate(projection.world_sh(image_sh, (3, 2, 1), rotation), directions)
     image = sh.evaluate(image_sh, directions @ rotation.T)
     np.testing.assert_allclose(world, image * [3, 2, 1], atol=1e-13)
 
@@ -90,7 +92,7 @@ def test_turning_the_coefficients_is_projecting_the_turned_picture():
     pixels = np.random.default_rng(4).random((32, 64, 3), np.float32)
     turned = np.roll(pixels, 16, axis=1)  # its value at w is the old one at R w, a quarter on
     np.testing.assert_allclose(
-        light.world_sh(lat_long.project(pixels, 5), (1, 1, 1), rotation),
+        projection.world_sh(lat_long.project(pixels, 5), (1, 1, 1), rotation),
         lat_long.project(turned, 5),
         atol=1e-12,
     )
@@ -108,17 +110,17 @@ def test_bad_pixels_are_mended_and_counted(pixels):
     broken[4, 4] = np.nan, -2, np.inf
     mended[4, 4] = 0, 0, 7
     before = broken.copy()
-    repaired, repairs = light.repair(broken)
+    repaired, repairs = projection.repair(broken)
     np.testing.assert_array_equal(repaired, mended)
     assert repairs == {"negative": 2, "nan": 4, "infinite": 2}
     np.testing.assert_array_equal(broken, before)
-    projected = light.project(LightSource(pixels=broken))
+    projected = projection.project(LightSource(pixels=broken))
     np.testing.assert_array_equal(projected.image_sh, lat_long.project(mended, 5))
     assert projected.repairs == repairs
 
 
 def test_a_sound_picture_is_not_copied(pixels):
-    repaired, repairs = light.repair(pixels)
+    repaired, repairs = projection.repair(pixels)
     assert repaired is pixels
     assert repairs == SOUND
 
@@ -126,47 +128,49 @@ def test_a_sound_picture_is_not_copied(pixels):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0])
 def test_a_picture_of_nothing_sound_is_black(value):
     pixels = np.full((4, 8, 3), value, np.float32)
-    projected = light.project(LightSource(pixels=pixels))
+    projected = projection.project(LightSource(pixels=pixels))
     assert not projected.image_sh.any()
     assert sum(projected.repairs.values()) == 32
 
 
 def test_a_black_picture_is_no_light():
-    assert not light.project(LightSource(pixels=np.zeros((4, 8, 3), np.float32))).image_sh.any()
+    assert not projection.project(
+        LightSource(pixels=np.zeros((4, 8, 3), np.float32))
+    ).image_sh.any()
 
 
 def test_huge_radiance_does_not_overflow():
-    projected = light.project(LightSource(pixels=np.full((64, 128, 3), 3e38, np.float32)))
+    projected = projection.project(LightSource(pixels=np.full((64, 128, 3), 3e38, np.float32)))
     expected = float(np.float32(3e38)) * np.sqrt(4 * np.pi)
     np.testing.assert_allclose(projected.image_sh[0], expected, rtol=1e-13)
 
 
 def test_blenders_worlds_are_lat_long_whatever_their_shape():
     cross = np.random.default_rng(3).random((48, 64, 3), np.float32)
-    projected = light.project(LightSource(pixels=cross))
+    projected = projection.project(LightSource(pixels=cross))
     np.testing.assert_array_equal(projected.image_sh, lat_long.project(cross, 5))
     assert not projected.is_cubemap
 
 
 def test_a_folder_of_six_faces_is_a_cubemap(tmp_path):
     faces = np.random.default_rng(4).random((6, 16, 16, 3), np.float32)
-    for name, face in zip(light.FACE_NAMES, faces, strict=True):
+    for name, face in zip(projection.FACE_NAMES, faces, strict=True):
         images.write_exr(str(tmp_path / f"{name}.exr"), face)
     source = LightSource(image=str(tmp_path), may_be_cubemap=True)
-    projected = light.project(source)
+    projected = projection.project(source)
     np.testing.assert_array_equal(projected.image_sh, cubemap.project(faces, 5))
     assert projected.is_cubemap
     (tmp_path / "ny.exr").unlink()
     with pytest.raises(BakeError, match="ny"):
-        light.project(source)
+        projection.project(source)
 
 
 def test_the_picture_is_handed_on_repaired_as_a_lat_long_map(pixels):
-    assert light.project(LightSource()).pixels is None
-    np.testing.assert_array_equal(light.project(LightSource(pixels=pixels)).pixels, pixels)
+    assert projection.project(LightSource()).pixels is None
+    np.testing.assert_array_equal(projection.project(LightSource(pixels=pixels)).pixels, pixels)
     pixels[3, 4, 1] = np.nan
-    assert np.isfinite(light.project(LightSource(pixels=pixels)).pixels).all()
+    assert np.isfinite(projection.project(LightSource(pixels=pixels)).pixels).all()
     strip = np.random.default_rng(5).random((16, 96, 3), np.float32)
-    projected = light.project(LightSource(pixels=strip, may_be_cubemap=True))
+    projected = projection.project(LightSource(pixels=strip, may_be_cubemap=True))
     found = lat_long.project(projected.pixels, 5)
     np.testing.assert_allclose(found, projected.image_sh, atol=2e-2)

@@ -2,8 +2,8 @@ from math import pi
 
 import numpy as np
 import pytest
-from prt_baker.addon.prt import lat_long, map_sampler
-from prt_baker.addon.prt.map_sampler import Blocks, MapSampler
+from prt_baker.addon.prt.light import lat_long, map_sampler
+from prt_baker.addon.prt.light.map_sampler import Blocks, MapSampler
 from scipy.stats import chi2
 
 

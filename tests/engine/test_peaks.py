@@ -2,8 +2,9 @@ from math import cos, degrees, pi, radians
 
 import numpy as np
 import pytest
-from prt_baker.addon.prt import lat_long, peaks, sh
-from prt_baker.addon.prt.light import world_sh
+from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.light import lat_long, peaks
+from prt_baker.addon.prt.light.projection import world_sh
 from scipy.spatial.transform import Rotation
 
 HEIGHT, WIDTH = 128, 256

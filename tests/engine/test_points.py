@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import points, rays, sh
+from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.surface import points
+from prt_baker.addon.prt.tracing import rays
 from test_transfer import trace
 
 

@@ -5,8 +5,9 @@ from math import cos, pi, sin
 
 import numpy as np
 import pytest
-from prt_baker.addon.prt import residual, sh
+from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.job import Peak
+from prt_baker.addon.prt.light import residual
 
 DEGREES = pi / 180
 SUN = Peak((0.48, -0.6, 0.64), (30.0, 20.0, 10.0), 0.1)

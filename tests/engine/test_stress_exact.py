@@ -4,9 +4,9 @@ from math import pi
 
 import numpy as np
 import pytest
-from prt_baker.addon.prt import lat_long
-from prt_baker.addon.prt.exact import ExactLight
-from prt_baker.addon.prt.transfer import relative_rms
+from prt_baker.addon.prt.light import lat_long
+from prt_baker.addon.prt.light.exact import ExactLight
+from prt_baker.addon.prt.tracing.transfer import relative_rms
 from stressing import turned
 
 pytestmark = pytest.mark.filterwarnings("error")

@@ -8,10 +8,12 @@ the Fibonacci set about its normal, turned by one azimuth.
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import points, rays, sh
-from prt_baker.addon.prt.hemisphere import cosine_fibonacci
+from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.run import run
-from prt_baker.addon.prt.transfer import relative_rms
+from prt_baker.addon.prt.surface import points
+from prt_baker.addon.prt.tracing import rays
+from prt_baker.addon.prt.tracing.hemisphere import cosine_fibonacci
+from prt_baker.addon.prt.tracing.transfer import relative_rms
 from stressing import finished, job_of, needles, receiver, turned
 from test_stress_meshes import torus
 

@@ -7,8 +7,10 @@ import OpenEXR
 import pytest
 import shapes
 from prt_baker.addon import engine
-from prt_baker.addon.prt import cubemap, images, lat_long, light, sh
+from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.files import images
 from prt_baker.addon.prt.job import LightSource
+from prt_baker.addon.prt.light import cubemap, lat_long, projection
 from stressing import bake, receiver, shown
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -19,7 +21,7 @@ SUN = 1e6
 
 
 def project(pixels, **others):
-    return light.project(LightSource(pixels=np.asarray(pixels, np.float32), **others))
+    return projection.project(LightSource(pixels=np.asarray(pixels, np.float32), **others))
 
 
 def relative(got, expected):
@@ -40,7 +42,7 @@ def half_exr(path, pixels):
 def test_a_constant_map_is_constant(size, value, record_property):
     """Maps of one colour, 1x1 to 8192x4096, of 1e-30, 1 and 1e30: the first coefficient alone, to
     1e-12."""
-    got = light.project(LightSource(pixels=np.broadcast_to(np.float32(value), (*size, 3))))
+    got = projection.project(LightSource(pixels=np.broadcast_to(np.float32(value), (*size, 3))))
     expected = np.zeros((25, 3))
     expected[0] = float(np.float32(value)) * sqrt(4 * pi)
     error = relative(got.image_sh, expected)
@@ -101,7 +103,7 @@ def test_half_float_maxima(tmp_path, record_property):
     """A half-float EXR that is 65,504 everywhere, read back: that constant to 1e-12, nothing
     repaired."""
     path = half_exr(tmp_path / "max.exr", np.full((16, 32, 3), HALF_MAX))
-    projected = light.project(LightSource(image=path))
+    projected = projection.project(LightSource(image=path))
     expected = np.zeros((25, 3))
     expected[0] = HALF_MAX * sqrt(4 * pi)
     error = relative(projected.image_sh, expected)
@@ -128,7 +130,7 @@ def test_a_half_float_file_with_every_fault(tmp_path, record_property):
     """A half-float EXR with NaN, both infinities, negative values, -0, denormals and maxima: read
     as the mended picture, bit for bit, every repair counted."""
     pixels, mended, repairs = broken_halves()
-    projected = light.project(LightSource(image=half_exr(tmp_path / "faults.exr", pixels)))
+    projected = projection.project(LightSource(image=half_exr(tmp_path / "faults.exr", pixels)))
     expected = lat_long.project(mended.astype(np.float32), 5)
     record_property("measured", relative(projected.image_sh, expected))
     np.testing.assert_array_equal(projected.image_sh, expected)
@@ -154,7 +156,7 @@ def test_float_denormals_and_maxima(tmp_path, value, record_property):
     assert (images.read(path) == value).all()
     expected = np.zeros((25, 3))
     expected[0] = float(value) * sqrt(4 * pi)
-    error = relative(light.project(LightSource(image=path)).image_sh, expected)
+    error = relative(projection.project(LightSource(image=path)).image_sh, expected)
     record_property("measured", error)
     assert error < 1e-12
 
@@ -208,7 +210,7 @@ def test_hdr_files_at_the_ends_of_their_exponent(tmp_path, exponent, record_prop
     path.write_bytes(header + bytes([255, 128, 0, exponent]) * 16)
     expected = np.ldexp([255.0, 128.0, 0.0], exponent - 136)
     np.testing.assert_array_equal(images.read(str(path))[0, 0], expected.astype(np.float32))
-    got = light.project(LightSource(image=str(path))).image_sh
+    got = projection.project(LightSource(image=str(path))).image_sh
     constant = np.zeros((25, 3))
     constant[0] = expected * sqrt(4 * pi)
     error = relative(got, constant)
@@ -221,7 +223,7 @@ def test_strengths_of_the_world(strength, record_property):
     """Worlds of strength 0, 1e-30 and 1e30, turned: coefficients in proportion, to 1e-12."""
     image_sh = np.random.default_rng(3).normal(size=(25, 3))
     turn, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))
-    plain, strong = (light.world_sh(image_sh, [s] * 3, turn) for s in (1.0, strength))
+    plain, strong = (projection.world_sh(image_sh, [s] * 3, turn) for s in (1.0, strength))
     error = float(np.abs(strong - strength * plain).max() / max(strength, 1e-300))
     record_property("measured", error)
     assert error < 1e-12

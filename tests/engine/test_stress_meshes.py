@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt.transfer import relative_rms
+from prt_baker.addon.prt.tracing.transfer import relative_rms
 from stressing import alone, bake, open_error, receiver, shown, turned, visible
 from test_transfer import integral
 

@@ -5,9 +5,9 @@ from math import pi
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import lat_long, light
 from prt_baker.addon.prt.job import LightSource
-from prt_baker.addon.prt.transfer import relative_rms
+from prt_baker.addon.prt.light import lat_long, projection
+from prt_baker.addon.prt.tracing.transfer import relative_rms
 from stressing import bake, receiver
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -33,7 +33,7 @@ def lit(stage, pixels, strength=1.0, **settings):
     result = results.receivers[0]
     residual = result.at_elements(result.residual)[:, 0].astype(np.float64)
     transfer = result.at_elements(result.transfer)[:, 0].astype(np.float64)
-    coefficients = light.world_sh(results.image_sh, source.strength, np.eye(3))
+    coefficients = projection.world_sh(results.image_sh, source.strength, np.eye(3))
     return residual, transfer @ coefficients[: transfer.shape[1]] + residual
 
 

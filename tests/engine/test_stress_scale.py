@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapes
 from prt_baker.addon.prt.errors import BakeError
-from prt_baker.addon.prt.transfer import relative_rms
+from prt_baker.addon.prt.tracing.transfer import relative_rms
 from stressing import (
     alone,
     bake,

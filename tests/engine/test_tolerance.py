@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import points, rays, tolerance, transfer
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.surface import points
+from prt_baker.addon.prt.tracing import rays, tolerance, transfer
 
 
 def finish(steps):

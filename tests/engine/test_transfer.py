@@ -5,8 +5,10 @@ from contextlib import closing
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import points, rays, sh, transfer
+from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.surface import points
+from prt_baker.addon.prt.tracing import rays, transfer
 
 UP = [0.0, 0.0, 1.0]
 

@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import points, rays, sh, verify
+from prt_baker.addon.prt import sh, verify
 from prt_baker.addon.prt.job import Settings
-from prt_baker.addon.prt.parts import joined
-from prt_baker.addon.prt.traced import Traced
+from prt_baker.addon.prt.surface import points
+from prt_baker.addon.prt.tracing import rays
+from prt_baker.addon.prt.vertex.parts import joined
+from prt_baker.addon.prt.vertex.traced import Traced
 
 SETTINGS = Settings(verify_points=60, verify_rays=2048)
 RADIANCE = np.random.default_rng(0).random((9, 3)) + np.eye(9, 3) * 4

@@ -6,13 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt import rays, sh, traced, transfer, vertices
-from prt_baker.addon.prt.buried import buried
-from prt_baker.addon.prt.fit_mesh import interpolated
+from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.job import Settings
-from prt_baker.addon.prt.parts import parts_of
-from prt_baker.addon.prt.points import Points, Surface, distinct_points, element_triangles
-from prt_baker.addon.prt.samples import random_places, starts
+from prt_baker.addon.prt.surface.points import Points, Surface, distinct_points, element_triangles
+from prt_baker.addon.prt.surface.samples import random_places, starts
+from prt_baker.addon.prt.tracing import rays, transfer
+from prt_baker.addon.prt.tracing.buried import buried
+from prt_baker.addon.prt.vertex import solver, traced
+from prt_baker.addon.prt.vertex.fit_mesh import interpolated
+from prt_baker.addon.prt.vertex.parts import parts_of
 
 
 def folded_sheet(count):
@@ -88,7 +90,7 @@ class Bench:
             yield len(origins) * rays
             return values
 
-        solved = vertices.solve(
+        solved = solver.solve(
             self.receiver, self.points, steps, self.sky, settings, rays=count, noise=noise
         )
         return finish(solved)
@@ -212,7 +214,7 @@ def test_every_place_says_how_it_was_traced():
     scene = bench("sheet")
     solved = scene.solve(256, 0.014)
     places = solved.traced
-    assert (places.rays >= vertices.MIN_RAYS).all()
+    assert (places.rays >= solver.MIN_RAYS).all()
     np.testing.assert_allclose(places.noisier, (256 / places.rays) ** traced.FALL)
     inside = places.point < 0
     np.testing.assert_array_equal(places.places.barycentric[~inside].max(axis=1), 1)

@@ -11,7 +11,7 @@ from math import pi
 import numpy as np
 import numpy.typing as npt
 
-from . import sh
+from .. import sh
 
 Array = npt.NDArray[np.float32]
 GOLDEN_ANGLE = pi * (3 - 5**0.5)

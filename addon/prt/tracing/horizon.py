@@ -16,9 +16,9 @@ from math import pi
 import numpy as np
 import numpy.typing as npt
 
-from .convex import is_convex
-from .job import Receiver
-from .points import Points
+from ..job import Receiver
+from ..surface.convex import is_convex
+from ..surface.points import Points
 
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]

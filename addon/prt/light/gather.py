@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from ..tracing.rays import Occlusion
+from ..tracing.transfer import MAP_RAYS, NOTHING_ABOVE, Batch, Counts
 from .exact import ExactLight
 from .peaks import PeakRays
-from .rays import Occlusion
-from .transfer import MAP_RAYS, NOTHING_ABOVE, Batch, Counts
 
 Array = npt.NDArray[np.float32]
 Index = npt.NDArray[np.int64]

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import sh
+from .. import sh
+from ..job import Receiver
+from ..surface.points import Points, element_triangles
 from .hemisphere import RaysInWorld, cosine_fibonacci, frames
-from .job import Receiver
-from .points import Points, element_triangles
 from .rays import Occlusion
 
 Array = npt.NDArray[np.float32]

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from .errors import BakeError
+from ..errors import BakeError
 
 Vectors = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.int32]

@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from .buried import buried, fill, rays_for
+from ..job import Receiver, Settings
+from ..surface.points import Float, Index, Points
+from ..surface.samples import Places, stratified_places
+from ..tracing.buried import buried, fill, rays_for
+from ..tracing.rays import Occlusion
 from .fit_mesh import interpolated
-from .job import Receiver, Settings
 from .parts import joined, parts_of
-from .points import Float, Index, Points
-from .rays import Occlusion
-from .samples import Places, stratified_places
 from .traced import Array, Mask, Trace, Traced, Tracer, part_of
-from .vertex_values import Values, squares
+from .values import Values, squares
 
 POINTS, SMOOTH, BOTH, FINE = range(4)  # how a part is found
 NONE = np.zeros(0, np.int64)

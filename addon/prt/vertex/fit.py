@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..surface.points import Float, Index
+from ..surface.samples import Places
 from .fit_mesh import (
     Array,
     Mesh,
@@ -24,8 +26,6 @@ from .fit_mesh import (
     right_side,
     sample_form,
 )
-from .points import Float, Index
-from .samples import Places
 
 ANCHOR = 1e-6  # of the diagonal: holds what neither a sample nor an edge holds
 ROUGHLY, TOLERANCE = 1e-3, 3e-4  # of the norm of the right side, every row over its diagonal

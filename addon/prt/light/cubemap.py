@@ -19,7 +19,8 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from . import lat_long, sh
+from .. import sh
+from . import lat_long
 
 Float = npt.NDArray[np.float64]
 Pixels = npt.NDArray[np.float32]

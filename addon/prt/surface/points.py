@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .job import Receiver
+from ..job import Receiver
 
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]

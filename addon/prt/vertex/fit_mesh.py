@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .points import Float, Index
-from .samples import Places
+from ..surface.points import Float, Index
+from ..surface.samples import Places
 
 Array = npt.NDArray[np.float32]
 

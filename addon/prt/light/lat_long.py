@@ -11,7 +11,7 @@ from math import ceil, pi
 import numpy as np
 import numpy.typing as npt
 
-from . import sh
+from .. import sh
 
 Float = npt.NDArray[np.float64]
 ROWS = 32  # reduced at a time: 3 MB in float64 for a map of 4096 columns

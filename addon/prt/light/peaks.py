@@ -13,8 +13,9 @@ from math import acos, ceil, gcd, pi, radians, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from . import lat_long, sh
-from .job import LIGHT_ORDER, Peak
+from .. import sh
+from ..job import LIGHT_ORDER, Peak
+from . import lat_long
 from .map_sampler import LUMINANCE, SETS, Blocks, Candidates, MapSampler
 
 Array = npt.NDArray[np.float32]

@@ -13,9 +13,9 @@ from math import cos, pi
 import numpy as np
 import numpy.typing as npt
 
-from . import sh
-from .job import LIGHT_ORDER, Peak
-from .layout import Values
+from .. import sh
+from ..job import LIGHT_ORDER, Peak
+from ..layout import Values
 
 Float = npt.NDArray[np.float64]
 

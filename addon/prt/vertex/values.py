@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import sh
+from .. import sh
+from ..surface.points import Float, Points
 from .fit import Fit, Samples, best_weights
 from .fit_mesh import interpolated
 from .parts import Parts, buried_points
-from .points import Float, Points
 from .traced import Array, Mask, Traced, part_of
 
 TRIAL = (1.0, 0.1)  # weights that tell whether a fit is promising

@@ -15,10 +15,10 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from ..job import Settings
+from ..surface.points import Points
 from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
 from .horizon import Horizon
-from .job import Settings
-from .points import Points
 from .rays import Occlusion
 
 Array = npt.NDArray[np.float32]

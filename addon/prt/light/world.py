@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import light
-from .cache import Cache, Entry
+from ..cache import Cache, Entry
+from ..job import Job, LightSource, Peak, light_digest
+from ..surface.points import Points
+from ..tracing.rays import Occlusion
+from ..tracing.transfer import trace_all
+from ..verify import Light
+from . import projection
 from .exact import ExactLight
 from .gather import LightGather
-from .job import Job, LightSource, Peak, light_digest
-from .light import Projected, world_sh
 from .peaks import CutOut, find
-from .points import Points
-from .rays import Occlusion
+from .projection import Projected, world_sh
 from .residual import peaks_sh, turned
-from .transfer import trace_all
-from .verify import Light
 
 Array = npt.NDArray[np.float32]
 Float = npt.NDArray[np.float64]
@@ -105,7 +105,7 @@ class World:
     @cached_property
     def _projected(self) -> Projected:
         assert self._source is not None
-        return light.project(self._source)
+        return projection.project(self._source)
 
     @cached_property
     def _pixels(self) -> Array:

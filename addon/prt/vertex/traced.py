@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from ..surface.points import Float, Index, Points, morton_order
+from ..surface.samples import Places, starts
 from .parts import Parts, joined
-from .points import Float, Index, Points, morton_order
-from .samples import Places, starts
 
 Array = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]

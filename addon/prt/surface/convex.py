@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from .job import Receiver
+from ..job import Receiver
 from .points import element_triangles
 
 Float = npt.NDArray[np.float64]

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .job import Settings
-from .points import Points
+from ..job import Settings
+from ..surface.points import Points
 from .rays import Occlusion
 from .transfer import CAST, Shortcuts, estimate_error, trace_all
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..errors import BakeError
 from . import rgbe
-from .errors import BakeError
 
 Pixels = npt.NDArray[np.float32]
 MAX_PIXELS = 1 << 29  # 32768 x 16384; a header that claims more is damaged

@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from . import cubemap, images, lat_long, sh
-from .errors import BakeError
-from .job import LIGHT_ORDER, LightSource
+from .. import sh
+from ..errors import BakeError
+from ..files import images
+from ..job import LIGHT_ORDER, LightSource
+from . import cubemap, lat_long
 
 FACE_NAMES = ("px", "nx", "py", "ny", "pz", "nz")
 PICTURES = (".exr", ".hdr")

@@ -1,0 +1,1 @@
+"""Distant light: pictures to coefficients, and what those leave out."""
