@@ -1,6 +1,6 @@
 """What Blender's glTF exporter calls while it writes: it puts every bake into the file.
 
-The schema is in docs/conventions.md.  Called for each scene in this order:
+The schema is in docs/gltf.md.  Called for each scene in this order:
 ``vtree_before_filter_hook``, for each object ``gather_node_mesh_hook``, ``gather_attribute_keep``,
 ``gather_mesh_hook`` and ``gather_node_hook``, then ``gather_scene_hook``, when all nodes are known;
 at the end once ``gather_gltf_hook``.  (``pre_export_hook`` is newer than Blender 4.3.)

@@ -90,3 +90,46 @@ def export(path, **options):
 
 
 COLORS = [("Paint", "BYTE_COLOR", "CORNER"), ("Dirt", "FLOAT_COLOR", "POINT")]
+
+
+def sharing(bake):
+    """Two objects of one mesh, each with a bake of its own."""
+    first = monkey("First")
+    second = first.copy()
+    second.name, second.location = "Second", (3, 0, 0)
+    bpy.context.scene.collection.objects.link(second)
+    for obj in (first, second):
+        bake(obj, by_modifier=True, turns=1)
+
+
+def modified(bake):
+    obj = monkey()
+    obj.modifiers.new("Subdivision", "SUBSURF")
+    bake(obj, by_modifier=True, turns=1)
+
+
+def several_scenes(bake):
+    """The light of each lies in its extras."""
+    bake(monkey("Here"), turns=1)
+    other = bpy.data.scenes.new("Other scene")
+    there = monkey("There")
+    bpy.context.scene.collection.objects.unlink(there)
+    other.collection.objects.link(there)
+
+
+# What a file may hold: name, function that makes and bakes it
+BAKED = {
+    "plain": lambda bake: bake(plain()),
+    "rotated, residual": lambda bake: bake(rotated(), turns=1),
+    "mirrored, corners": lambda bake: bake(mirrored(), turns=1, domain="CORNER"),
+    "sheared": lambda bake: bake(sheared(), turns=1),
+    "sheared by itself": lambda bake: bake(sheared_by_itself(), turns=1),
+    "shared mesh": sharing,
+    "modifier": modified,
+    "several scenes": several_scenes,
+    "order 2, three channels": lambda bake: bake(plain(), order=2, channels=3, turns=1),
+    "order 4, three channels": lambda bake: bake(plain(), order=4, channels=3, turns=1),
+    "order 5, peaks": lambda bake: bake(plain(), order=5, turns=1, lights=2),
+    "order 3, twelve turns": lambda bake: bake(plain(), turns=12),
+    "colours, two materials": lambda bake: bake(colored(COLORS, "Dirt"), turns=1),
+}

@@ -1,4 +1,4 @@
-"""What npm gltf-validator says."""
+"""What npm gltf-validator says, and the schema of our extras."""
 
 import json
 import os
@@ -17,11 +17,14 @@ def node_program():
 
 
 def assert_valid(path):
-    """No error, and no warning, says gltf-validator."""
+    """No error, and no warning, says gltf-validator; our extras are as docs/gltf.schema.json
+    says."""
     program = node_program()
     assert program, "gltf-validator needs node: make test installs it"
     run = subprocess.run(
         [program, str(HERE / "validate.mjs"), str(path)], capture_output=True, text=True, check=True
     )
-    issues = json.loads(run.stdout)
+    said = json.loads(run.stdout)
+    issues = said["issues"]
     assert issues["numErrors"] == issues["numWarnings"] == 0, issues["messages"]
+    assert not said["extras"], said["extras"]

@@ -59,7 +59,7 @@ def test_lights_point_to_where_they_are_in_the_frame_of_gltf(scene, bake, out):
 
 
 def disc(light):
-    """Coefficients (25, 3) of one of the file's lights, by the formula of docs/conventions.md."""
+    """Coefficients (25, 3) of one of the file's lights, by the formula of docs/gltf.md."""
     x = np.cos(light["angular_radius"])
     slopes = 1, 3 * x, (15 * x**2 - 3) / 2, (35 * x**3 - 15 * x) / 2
     zonal = [2 / (1 + x)] + [2 * s / (l * (l + 1)) for l, s in enumerate(slopes, 1)]  # noqa: E741
@@ -69,7 +69,7 @@ def disc(light):
 
 def seen(glb, name, delta):
     """Exit radiance (E, 3) that a reader of the file shows of a node turned by ``delta``, by the
-    formula of docs/conventions.md for one residual."""
+    formula of docs/gltf.md for one residual."""
     extras = light_extras(glb)
     now, baked = np.array(extras["radiance_sh"]), np.array(extras["baked_radiance_sh"])
     now = sh.rotate(now, delta.T)
