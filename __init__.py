@@ -10,9 +10,9 @@ from typing import Any
 def _parts() -> tuple[ModuleType, ...]:
     """What registers, in this order; each has ``register`` and ``unregister``."""
     from . import operators, ui
-    from .addon import cli, live_light, live_materials, properties, stale
+    from .addon import cli, gltf_panel, live_light, live_materials, properties, stale
 
-    return properties, live_light, live_materials, stale, cli, operators, ui
+    return properties, gltf_panel, live_light, live_materials, stale, cli, operators, ui
 
 
 def register() -> None:

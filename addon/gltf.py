@@ -13,7 +13,15 @@ from typing import Any
 import bpy
 import numpy as np
 
-from . import default_surface, gltf_attributes, gltf_colors, gltf_frame, light_state, stamp
+from . import (
+    default_surface,
+    gltf_attributes,
+    gltf_colors,
+    gltf_frame,
+    gltf_panel,
+    light_state,
+    stamp,
+)
 from .prt import sh
 from .prt.job import Peak
 from .prt.layout import Layout
@@ -44,6 +52,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         self._shares = {obj: stamp.share(obj) for obj in self._bakes}
         self._lights = {scene.name: light_state.read(scene) for scene in bpy.data.scenes}
         self._stamped = any(stamp.KEY in obj for obj in bpy.data.objects)
+        self._short = gltf_panel.wants_short(bpy.context.scene)
         self._artist: Settings = {}
         self._meshes: dict[tuple[int, str], Any] = {}
         self._originals: list[Any] = []
@@ -155,31 +164,31 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
     def _baked(self, mesh: Any, obj: bpy.types.Object, matrix: Any, frame: Any) -> Any | None:
         """``mesh`` with the bake of ``obj`` in glTF's frame; None where its attributes are gone."""
         packing, share = self._bakes[obj].packing, self._shares[obj]
+        shown = _shown(packing, share)
         twin = _twin(mesh)
-        turned: dict[int, gltf_attributes.Accessors | None] = {}  # primitives may share attributes
+        read: dict[int, Any] = {}  # primitives may share attributes
+        for primitive in twin.primitives:
+            values = gltf_attributes.read(primitive.attributes, packing.attributes)
+            if values is not None:
+                values = gltf_frame.turned(values, packing, shown, share, frame)
+                read[id(primitive.attributes)] = values
+            elif primitive.mode in TRIANGLES:
+                return None
+        scale = gltf_attributes.scale_of(read.values()) if self._short else None
+        replaced: dict[int, gltf_attributes.Accessors] = {}
         for primitive in twin.primitives:
             key = id(primitive.attributes)
-            if key not in turned:
-                turned[key] = _turned(primitive.attributes, packing, share, frame)
-            attributes = turned[key]
-            if attributes is None and primitive.mode in TRIANGLES:
-                return None
-            primitive.attributes = attributes or gltf_attributes.bare(primitive.attributes)
-        description = _description(_shown(packing, share), matrix)
+            if key not in read:
+                primitive.attributes = gltf_attributes.bare(primitive.attributes)
+                continue
+            if key not in replaced:
+                replaced[key] = gltf_attributes.replaced(
+                    primitive.attributes, shown.attributes, read[key], scale
+                )
+            primitive.attributes = replaced[key]
+        description = _description(shown, matrix, scale)
         twin.extras = {**(mesh.extras or {}), "prt": description}
         return twin
-
-
-def _turned(
-    attributes: gltf_attributes.Accessors, packing: Layout, share: float, frame: Any
-) -> gltf_attributes.Accessors | None:
-    """``attributes`` with what is shown of them, turned to ``frame``; None where there is none."""
-    values = gltf_attributes.read(attributes, packing.attributes)
-    if values is None:
-        return None
-    shown = _shown(packing, share)
-    turned = gltf_frame.turned(values, packing, shown, share, frame)
-    return gltf_attributes.replaced(attributes, shown.attributes, turned)
 
 
 def _shown(packing: Layout, share: float) -> Layout:
@@ -218,8 +227,8 @@ def _attribute_names(mesh: Any) -> set[str]:
     return {name for primitive in mesh.primitives for name in primitive.attributes}
 
 
-def _description(layout: Layout, matrix: Any) -> dict[str, Any]:
-    """``mesh.extras.prt``."""
+def _description(layout: Layout, matrix: Any, scale: Any | None) -> dict[str, Any]:
+    """``mesh.extras.prt``; ``scale`` of every float, None where they are as they are."""
     return {
         "version": VERSION,
         "order": layout.order,
@@ -229,7 +238,7 @@ def _description(layout: Layout, matrix: Any) -> dict[str, Any]:
         "frame": "world",
         "matrix": matrix.ravel(order="F").tolist(),
         "basis": BASIS,
-        "scale": 1,
+        "scale": 1 if scale is None else scale.tolist(),
         "includes": INCLUDES,
     }
 

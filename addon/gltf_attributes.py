@@ -4,7 +4,7 @@ Nothing of the exporter's is changed in place: it keeps primitives for other obj
 mesh.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from typing import Any
 
@@ -15,7 +15,8 @@ from .prt.layout import PREFIX
 
 Accessors = dict[str, Any]
 
-FLOAT = 5126
+FLOAT, SHORT = 5126, 5122
+LARGEST = 32767  # of a normalized SHORT, which stands for 1
 
 
 def is_ours(name: str) -> bool:
@@ -37,14 +38,34 @@ def read(attributes: Accessors, names: Sequence[str]) -> npt.NDArray[np.float32]
 
 
 def replaced(
-    attributes: Accessors, names: Sequence[str], values: npt.NDArray[np.float32]
+    attributes: Accessors,
+    names: Sequence[str],
+    values: npt.NDArray[np.float32],
+    scale: npt.NDArray[np.float64] | None = None,
 ) -> Accessors:
-    """``attributes`` with exactly ``names`` of ours, holding ``values`` (E, 4 k)."""
+    """``attributes`` with exactly ``names`` of ours, holding ``values`` (E, 4 k): as float32, or as
+    normalized SHORT that stand for multiples of ``scale`` (4 k)."""
+    stored = values if scale is None else quantized(values, scale)
     ours = {
-        name: _with_data(attributes[name], values[:, 4 * k : 4 * k + 4].tobytes())
+        name: _with_data(attributes[name], stored[:, 4 * k : 4 * k + 4])
         for k, name in enumerate(names)
     }
     return bare(attributes) | ours
+
+
+def scale_of(parts: Iterable[npt.NDArray[np.float32]]) -> npt.NDArray[np.float64]:
+    """The scale (4 k) of ``parts`` (E, 4 k) each: the largest magnitude of every float."""
+    return np.max([np.abs(values).max(axis=0, initial=0) for values in parts], axis=0).astype(float)
+
+
+def quantized(
+    values: npt.NDArray[np.float32], scale: npt.NDArray[np.float64]
+) -> npt.NDArray[np.int16]:
+    """``values`` (E, 4 k), no larger than ``scale`` (4 k), as normalized SHORT; off by at most
+    ``scale / 65534``."""
+    shares = np.zeros(values.shape)
+    np.divide(values, scale, out=shares, where=scale > 0)
+    return np.rint(LARGEST * shares).astype(np.int16)
 
 
 def values_of(accessor: Any) -> npt.NDArray[np.float32]:
@@ -52,8 +73,11 @@ def values_of(accessor: Any) -> npt.NDArray[np.float32]:
     return np.frombuffer(accessor.buffer_view.data, np.float32).reshape(-1, 4)
 
 
-def _with_data(accessor: Any, data: bytes) -> Any:
-    """A copy of ``accessor`` over ``data``, uncompressed."""
+def _with_data(accessor: Any, values: npt.NDArray[Any]) -> Any:
+    """A copy of ``accessor`` over ``values`` (E, 4), float32 or int16."""
     twin = copy(accessor)
-    twin.buffer_view = type(accessor.buffer_view)(data, accessor.buffer_view.bufferViewTarget)
+    target = accessor.buffer_view.bufferViewTarget
+    twin.buffer_view = type(accessor.buffer_view)(values.tobytes(), target)
+    if values.dtype == np.int16:
+        twin.component_type, twin.normalized = type(accessor.component_type)(SHORT), True
     return twin

@@ -12,7 +12,7 @@ from typing import Any
 
 import bpy
 
-from . import bake, figures, gltf_export, outputs, properties, scene, selection
+from . import bake, figures, gltf_export, gltf_panel, outputs, properties, scene, selection
 from .options import Options
 from .progress_lines import ProgressLines
 from .prt.errors import BakeError
@@ -135,7 +135,8 @@ def _write(asked: Options, places: dict[Path, Path], names: list[str], report: R
     if asked.save:
         _save(asked.save, places[asked.save])
     if asked.gltf:
-        gltf_export.write(str(places[asked.gltf]), names)
+        with gltf_panel.chosen(bpy.context.scene, asked.gltf_short):
+            gltf_export.write(str(places[asked.gltf]), names)
     if asked.report:
         text = json.dumps(report, indent=2, ensure_ascii=False)
         places[asked.report].write_text(f"{text}\n", encoding="utf-8")

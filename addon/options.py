@@ -34,6 +34,7 @@ class Options:
     world: str | None
     save: Path | None
     gltf: Path | None
+    gltf_short: bool | None
     report: Path | None
     verify: bool
 
@@ -140,6 +141,12 @@ def _add_where(parser: _Parser) -> None:
     add = parser.add_argument
     add("--save", type=Path, metavar="OUT.blend", help="write the baked scene")
     add("--gltf", type=Path, metavar="OUT.glb", help="write the baked scene as glTF")
+    add(
+        "--gltf-short",
+        action="store_const",
+        const=True,
+        help="bakes in the .glb as 16-bit numbers: half the size",
+    )
     add("--report", type=Path, metavar="OUT.json", help="write the figures of the bake")
     add("--verify", action="store_true", help="trace some points again and print the error")
 

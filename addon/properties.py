@@ -83,6 +83,13 @@ class PRT_PG_settings(bpy.types.PropertyGroup):
         soft_max=4096,
         options=set(),
     )
+    gltf_short: bpy.props.BoolProperty(
+        name="16-bit Bakes",
+        description="Write bakes as 16-bit numbers: half the size, and off by at most 1/65534 of "
+        "each number's largest value on the mesh",
+        default=False,
+        options=set(),
+    )
     seed: bpy.props.IntProperty(
         name="Seed",
         description="Another seed gives other noise; the same seed gives the same bake",

@@ -37,6 +37,20 @@ def asked(cube, monkeypatch):
     return calls
 
 
+def test_the_glb_is_short_where_that_is_asked_for(scene, asked, monkeypatch, tmp_path):
+    chosen = []
+
+    def write(path, _names):
+        chosen.append(scene.prt.gltf_short)
+        Path(path).write_bytes(b"glTF")
+
+    monkeypatch.setattr(gltf_export, "write", write)
+    for options in ([], ["--gltf-short"]):
+        assert cli.command(["--gltf", str(tmp_path / "a.glb"), *options]) == 0
+    assert chosen == [False, True]
+    assert not scene.prt.gltf_short
+
+
 def refused(capsys, *arguments):
     """The one sentence that the command refuses ``arguments`` with."""
     assert cli.command([str(argument) for argument in arguments]) == 2

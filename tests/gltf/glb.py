@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-DTYPES = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+DTYPES = {5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
@@ -27,7 +27,10 @@ class Glb:
         offset = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         width, dtype = WIDTHS[accessor["type"]], DTYPES[accessor["componentType"]]
         count = accessor["count"] * width
-        return np.frombuffer(self.binary, dtype, count, offset).reshape(-1, width)
+        values = np.frombuffer(self.binary, dtype, count, offset).reshape(-1, width)
+        if accessor.get("normalized") and dtype == np.int16:
+            return np.maximum(values / np.float32(32767), -1)
+        return values
 
     def mesh(self, name):
         """The mesh of the node ``name``."""
@@ -55,7 +58,8 @@ class Glb:
             np.concatenate([a[f"_PRT_{k}"] for k in range(len(layout) // 4)], axis=1)
             for a in self.attributes(name)
         ]
-        return np.concatenate(rows)[:, np.vectorize(layout.index)(names)]
+        values = np.concatenate(rows) * np.asarray(self.prt(name)["scale"], np.float32)
+        return values[:, np.vectorize(layout.index)(names)]
 
     def world(self, name):
         """The world 3x3 of the node ``name``."""
