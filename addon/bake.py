@@ -33,6 +33,7 @@ from .prt.errors import BakeError
 from .prt.layout import Layout
 from .prt.light import residual
 from .prt.light.projection import world_sh
+from .prt.results import ReceiverResult, Results
 from .world import WorldLight
 
 Report = dict[str, Any]
@@ -225,7 +226,7 @@ def _stamp(obj: bpy.types.Object, layout: Layout, domain: str) -> stamp.Stamp:
 
 def _write(
     scene_name: str,
-    results: jobs.Results,
+    results: Results,
     stamps: list[stamp.Stamp],
     state: light_state.LightState,
 ) -> None:
@@ -244,7 +245,7 @@ def _write(
 
 def _figures(
     layout: Layout,
-    result: jobs.ReceiverResult,
+    result: ReceiverResult,
     entry: Report,
     report: Report,
     state: light_state.LightState,
@@ -276,7 +277,7 @@ def _measured(error: Report | None) -> dict[str, float | None]:
 
 
 def _plain_error(
-    layout: Layout, result: jobs.ReceiverResult, state: light_state.LightState
+    layout: Layout, result: ReceiverResult, state: light_state.LightState
 ) -> float | None:
     """Relative RMS of what the transfer alone leaves out of the baked light; None where nothing
     mends it."""
@@ -290,7 +291,7 @@ def _plain_error(
     return float(np.sqrt(np.square(beyond).sum() / size)) if size else None
 
 
-def _light_state(light: WorldLight, results: jobs.Results, follows: bool) -> light_state.LightState:
+def _light_state(light: WorldLight, results: Results, follows: bool) -> light_state.LightState:
     """The light of ``results``, as if everything were baked under it."""
     image_sh = results.image_sh
     radiance = world_sh(image_sh, light.source.strength, light.source.rotation)

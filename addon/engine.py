@@ -19,6 +19,7 @@ from typing import Any
 
 from .prt import job as jobs
 from .prt.errors import BakeError, no_room
+from .prt.results import Results, read_results
 
 # Our folders come last in the child's path: a sibling named like a part of the standard library
 # would kill it.
@@ -61,7 +62,7 @@ def job_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def run(job: jobs.Job, folder: Path) -> Generator[jobs.Progress, None, jobs.Results]:
+def run(job: jobs.Job, folder: Path) -> Generator[jobs.Progress, None, Results]:
     """Do ``job`` in an existing, empty ``folder``; its results are the generator's value.
 
     ``close()`` kills the child at once.  BakeError where the engine says what can be mended,
@@ -77,7 +78,7 @@ def run(job: jobs.Job, folder: Path) -> Generator[jobs.Progress, None, jobs.Resu
         _close_pipe(process)
         process.kill()
         process.wait()
-    return jobs.read_results(folder)
+    return read_results(folder)
 
 
 def run_light(source: jobs.LightSource) -> Any:

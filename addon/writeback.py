@@ -18,8 +18,8 @@ from . import (
 )
 from .prt import layout as layouts
 from .prt.errors import BakeError
-from .prt.job import ReceiverResult
 from .prt.layout import Layout
+from .prt.results import ReceiverResult
 from .stamp import Stamp
 
 Baked = tuple[bpy.types.Object, ReceiverResult, Stamp]

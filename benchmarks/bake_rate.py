@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from prt_baker.addon import engine
 from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt.results import read_results
 from prt_baker.addon.prt.surface.points import distinct_points
 from prt_baker.addon.prt.tracing.hemisphere import RaysInWorld, frames, hemisphere_set
 from prt_baker.addon.prt.tracing.rays import Occlusion, occlusion
@@ -63,7 +64,7 @@ def whole_bake(job: jobs.Job) -> tuple[float, int]:
         for _ in engine.run(job, folder):
             pass
         seconds = time.perf_counter() - start
-        (entry,) = jobs.read_results(folder).report["objects"]
+        (entry,) = read_results(folder).report["objects"]
     return seconds, entry["rays"]
 
 

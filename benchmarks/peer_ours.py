@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from prt_baker.addon import engine
 from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt.results import Results
 from scenes import Scene
 
 TRACING = ("effort", "transfer")  # the report's phases: what may be skipped, and the rays
@@ -46,7 +47,7 @@ def whole_order(transfer: np.ndarray) -> np.ndarray:
     return np.pad(transfer, ((0, 0), (0, 9 - transfer.shape[1])))
 
 
-def finish(steps: Any) -> jobs.Results:
+def finish(steps: Any) -> Results:
     """The value of a generator that is run to its end."""
     while True:
         try:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from prt_baker.addon import engine
 from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt.results import Results
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "engine"))
 import shapes
@@ -82,7 +83,7 @@ def joined(faces: list[np.ndarray], sizes: list[int]) -> np.ndarray:
     )
 
 
-def bake(job: jobs.Job) -> tuple[jobs.Results, float]:
+def bake(job: jobs.Job) -> tuple[Results, float]:
     """The results, and seconds from arrays to arrays."""
     start = time.perf_counter()
     with engine.job_folder() as folder:

@@ -15,6 +15,7 @@ from typing import Any, TextIO
 
 from . import job as jobs
 from .errors import BakeError, no_room
+from .results import write_results
 from .run import run
 
 PROGRESS = "progress.jsonl"
@@ -54,7 +55,7 @@ def _run(folder: Path, progress: TextIO) -> None:
         try:
             step = next(steps)
         except StopIteration as stop:
-            jobs.write_results(stop.value, folder)
+            write_results(stop.value, folder)
             return
         if step.phase != phase or time.monotonic() - last > INTERVAL:
             last, phase = time.monotonic(), step.phase

@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from .cache import Cache, Keys
 from .errors import BakeError
-from .job import Job, Progress, ReceiverResult
+from .job import Job, Progress
 from .light.world import World
 from .meter import Meter
+from .results import RESULT_ARRAYS, ReceiverResult
 from .surface.points import Points, distinct_points
 from .tape import Remembered, Tape
 from .tracing.horizon import Surroundings
@@ -27,7 +28,6 @@ Entry = dict[str, Any]
 
 SAME_PLACE = "the same position and normal"
 UNCHANGED = "nothing has changed since an earlier bake"
-RESULT_ARRAYS = ("transfer", "residual", "visibility", "element_points")
 
 
 class Scene:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from .job import ReceiverResult
+from .results import ReceiverResult
 from .sh import order_of
 
 Float = npt.NDArray[np.float64]

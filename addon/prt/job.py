@@ -1,7 +1,7 @@
 """A job: everything that decides a bake, as a folder of plain arrays and one settings file.
 
-``write`` and ``read`` are inverse; ``content_hash`` names the result.  The results come back in the
-sub-folder ``results``, which exists only when all of it is there.
+``write`` and ``read`` are inverse; ``content_hash`` names the result, which comes back in a folder
+of its own (``results.py``).
 
     settings.json           kind, settings, light, names and domains of the receivers, the centre
     occluder_vertices.npy   (V, 3) float32, world axes, ``centre`` subtracted in float64
@@ -11,8 +11,7 @@ sub-folder ``results``, which exists only when all of it is there.
                             with ``centre`` subtracted
     image.npy               the pixels of a world that is no file, (H, W, 3) float32
     progress.jsonl          one line a step, see ``Progress``
-    results/                light.npy, 0_transfer.npy, 0_residual.npy, 0_visibility.npy,
-                            0_element_points.npy, report.json
+    results/                see ``results.py``
 """
 
 import hashlib
@@ -157,35 +156,6 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class ReceiverResult:
-    """Baked values of P distinct points, float32: ``transfer`` (P, channels, n²), ``residual``
-    (P, turns, 3), exit radiance of a white surface that the transfer misses at the baked light, and
-    ``visibility`` (P, lights) of the lights cut out; turns and lights may be 0.  For each element
-    of the domain the point that it shows, ``element_points`` (E,) int32, -1 where it has none."""
-
-    name: str
-    transfer: Array
-    element_points: Array
-    residual: Array = field(default_factory=lambda: np.empty((0, 0, 3), np.float32))
-    visibility: Array = field(default_factory=lambda: np.empty((0, 0), np.float32))
-
-    def __post_init__(self) -> None:
-        """Without residual or lights: arrays of the right length."""
-        for name in ("residual", "visibility"):
-            value = getattr(self, name)
-            if not value.size:
-                shape = (len(self.transfer), *value.shape[1:])
-                object.__setattr__(self, name, np.empty(shape, np.float32))
-
-    def at_elements(self, values: Array) -> Array:
-        """``values`` (P, ...), one of the arrays above, at every vertex or corner (E, ...), 0 where
-        nothing was traced."""
-        shown: Array = values[self.element_points]
-        shown[self.element_points < 0] = 0
-        return shown
-
-
-@dataclass(frozen=True)
 class Peak:
     """A sun or lamp cut out of the map, as it stood in the world when it was baked: ``direction``
     to it, ``irradiance`` (W m⁻²) of a surface that faces it, and its ``angular_radius``."""
@@ -195,23 +165,9 @@ class Peak:
     angular_radius: float
 
 
-@dataclass(frozen=True)
-class Results:
-    """What a run leaves: ``image_sh`` (25, 3) float64 is the light's image (or 1, where there is
-    none) unrotated and without its strength, its peaks included; ``peaks`` are those that the
-    receivers' visibilities belong to; ``report`` is the JSON report."""
-
-    image_sh: Array | None
-    receivers: tuple[ReceiverResult, ...]
-    report: dict[str, Any]
-    peaks: tuple[Peak, ...] = ()
-
-
 SETTINGS = "settings.json"
 RECEIVER_ARRAYS = ("vertices", "triangles", "triangle_corners", "corner_vertices", "normals")
-RESULT_ARRAYS = ("transfer", "element_points", "residual", "visibility")
 SHOWN = ("transfer", "residual")
-RESULTS = "results"
 
 
 def content_hash(job: Job) -> str:
@@ -282,41 +238,6 @@ def read(folder: Path) -> Job:
         repairs=values["repairs"],
         occluder_starts=_load(folder, "occluder_starts"),
     )
-
-
-def write_results(results: Results, folder: Path) -> None:
-    """Write ``results`` into ``folder``: under another name first, so they are whole or absent."""
-    unfinished = folder / f"{RESULTS}.tmp"
-    unfinished.mkdir()
-    if results.image_sh is not None:
-        np.save(unfinished / "light.npy", results.image_sh)
-    for i, result in enumerate(results.receivers):
-        for name in RESULT_ARRAYS:
-            np.save(unfinished / f"{i}_{name}.npy", getattr(result, name))
-    report = {
-        "names": [r.name for r in results.receivers],
-        "peaks": [asdict(peak) for peak in results.peaks],
-        "report": results.report,
-    }
-    (unfinished / "report.json").write_text(json.dumps(report), encoding="utf-8")
-    unfinished.rename(folder / RESULTS)
-
-
-def read_results(folder: Path) -> Results:
-    """The results in ``folder``, loaded whole."""
-    done = folder / RESULTS
-    values = json.loads((done / "report.json").read_text(encoding="utf-8"))
-    receivers = tuple(
-        ReceiverResult(name, *(np.load(done / f"{i}_{array}.npy") for array in RESULT_ARRAYS))
-        for i, name in enumerate(values["names"])
-    )
-    light = done / "light.npy"
-    image_sh = np.load(light) if light.exists() else None
-    peaks = tuple(
-        Peak(tuple(p["direction"]), tuple(p["irradiance"]), p["angular_radius"])
-        for p in values["peaks"]
-    )
-    return Results(image_sh, receivers, values["report"], peaks)
 
 
 def _centre(job: Job) -> Array:

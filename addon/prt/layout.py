@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import BakeError
-from .job import ReceiverResult
+from .results import ReceiverResult
 
 MAX_ATTRIBUTES = 14  # EEVEE reads no more in one material
 PREFIX = "_PRT_"

@@ -12,9 +12,10 @@ from . import VERSION, bands
 from .baking import Baked, Scene, bake
 from .cache import Cache
 from .files import images
-from .job import Job, Progress, Receiver, ReceiverResult, Results, content_hash
+from .job import Job, Progress, Receiver, content_hash
 from .light.world import World
 from .meter import Meter
+from .results import ReceiverResult, Results
 from .surface.points import Points, distinct_points
 from .tracing import rays
 from .verify import measure

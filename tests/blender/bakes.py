@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 from prt_baker.addon import carrier, writeback
 from prt_baker.addon import scene as scenes
-from prt_baker.addon.prt.job import ReceiverResult
+from prt_baker.addon.prt.results import ReceiverResult
 from prt_baker.addon.stamp import Stamp
 
 

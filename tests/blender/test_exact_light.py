@@ -11,9 +11,10 @@ from pictures import colour, look_down, render
 from prt_baker.addon import attributes, bake, engine, light_state, stamp, writeback
 from prt_baker.addon.prt import job as jobs
 from prt_baker.addon.prt.errors import BakeError
-from prt_baker.addon.prt.job import Peak, ReceiverResult, Results, Settings
+from prt_baker.addon.prt.job import Peak, Settings
 from prt_baker.addon.prt.layout import Layout
 from prt_baker.addon.prt.light import projection, residual
+from prt_baker.addon.prt.results import ReceiverResult, Results
 from worlds import environment, generated, new_world, picture
 
 PEAK = Peak((0.6, 0.0, 0.8), (0.3, 0.2, 0.1), 0.05)

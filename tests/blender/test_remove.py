@@ -7,8 +7,8 @@ import snapshot
 from bakes import place, principled, quad, random_bake, write
 from prt_baker.addon import attributes, light_state, materials, remove, writeback
 from prt_baker.addon.prt.errors import BakeError
-from prt_baker.addon.prt.job import ReceiverResult
 from prt_baker.addon.prt.layout import Layout
+from prt_baker.addon.prt.results import ReceiverResult
 
 LAYOUT = Layout(3)
 

@@ -10,6 +10,7 @@ import pytest
 import shapes
 from prt_baker.addon import engine
 from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt.results import read_results
 
 
 @pytest.fixture
@@ -44,7 +45,7 @@ def test_a_child_waits_for_a_job_that_takes_long_to_write(job, tmp_path, monkeyp
     monkeypatch.setattr(jobs, "write", slowly)
     for _ in engine.run(job, tmp_path):
         pass
-    assert len(jobs.read_results(tmp_path).receivers) == 1
+    assert len(read_results(tmp_path).receivers) == 1
 
 
 ORPHAN = """

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapes
 from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt.results import ReceiverResult, Results, read_results, write_results
 
 
 @pytest.fixture
@@ -115,9 +116,9 @@ def test_empty_arrays_survive(tmp_path):
 
 def test_results_are_whole_or_absent(tmp_path):
     transfer = np.arange(18, dtype=np.float32).reshape(2, 1, 9)
-    result = jobs.ReceiverResult("a", transfer, np.array([1, 0, -1], np.int32))
-    jobs.write_results(jobs.Results(np.ones((25, 3)), (result,), {"x": 1}), tmp_path)
-    read = jobs.read_results(tmp_path)
+    result = ReceiverResult("a", transfer, np.array([1, 0, -1], np.int32))
+    write_results(Results(np.ones((25, 3)), (result,), {"x": 1}), tmp_path)
+    read = read_results(tmp_path)
     np.testing.assert_array_equal(read.receivers[0].transfer, transfer)
     assert read.report == {"x": 1}
     assert [p.name for p in tmp_path.iterdir()] == ["results"]
@@ -125,5 +126,5 @@ def test_results_are_whole_or_absent(tmp_path):
 
 def test_elements_without_a_point_show_nothing():
     transfer = np.ones((2, 1, 4), np.float32)
-    result = jobs.ReceiverResult("a", transfer, np.array([1, -1], np.int32))
+    result = ReceiverResult("a", transfer, np.array([1, -1], np.int32))
     np.testing.assert_array_equal(result.at_elements(result.transfer)[:, 0, 0], [1, 0])

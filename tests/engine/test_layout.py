@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from prt_baker.addon.prt import layout
 from prt_baker.addon.prt.errors import BakeError
-from prt_baker.addon.prt.job import ReceiverResult
 from prt_baker.addon.prt.layout import Layout, Values
+from prt_baker.addon.prt.results import ReceiverResult
 
 FITTING = [Layout(order, 1) for order in range(1, 6)] + [Layout(order, 3) for order in range(2, 5)]
 

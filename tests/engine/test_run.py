@@ -158,7 +158,7 @@ def test_results_without_room_are_one_sentence(job, tmp_path, monkeypatch):
         raise OSError("17694 requested and 11232 written")
 
     jobs.write(job, tmp_path)
-    monkeypatch.setattr(jobs, "write_results", full)
+    monkeypatch.setattr(program, "write_results", full)
     assert program.main(tmp_path) == 2
     last = json.loads((tmp_path / program.PROGRESS).read_text("utf-8").splitlines()[-1])
     assert "No space left on device" in last["error"]

@@ -4,8 +4,9 @@ import bpy
 import numpy as np
 import pytest
 from prt_baker.addon import carrier, light_state, stamp, writeback
-from prt_baker.addon.prt.job import Peak, ReceiverResult
+from prt_baker.addon.prt.job import Peak
 from prt_baker.addon.prt.layout import Layout
+from prt_baker.addon.prt.results import ReceiverResult
 from prt_baker.addon.scene import mesh_signature
 
 PEAKS = (Peak((0.6, 0.0, 0.8), (30.0, 20.0, 10.0), 0.1), Peak((0.0, -1.0, 0.0), (1, 2, 3), 0.0))

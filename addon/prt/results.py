@@ -1,0 +1,97 @@
+"""What a run of the engine leaves: values of every receiver, the light's coefficients, a report.
+
+``write_results`` and ``read_results`` are inverse.  All lies in the job's sub-folder ``results``,
+which exists only when all of it is there:
+
+    report.json             names of the receivers, peaks, the JSON report
+    light.npy               see ``Results.image_sh``
+    0_transfer.npy ...      the arrays of receiver 0, see ``ReceiverResult``
+"""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .job import Array, Peak
+
+RESULTS = "results"
+RESULT_ARRAYS = ("transfer", "element_points", "residual", "visibility")
+
+
+@dataclass(frozen=True)
+class ReceiverResult:
+    """Baked values of P distinct points, float32: ``transfer`` (P, channels, n²), ``residual``
+    (P, turns, 3), exit radiance of a white surface that the transfer misses at the baked light, and
+    ``visibility`` (P, lights) of the lights cut out; turns and lights may be 0.  For each element
+    of the domain the point that it shows, ``element_points`` (E,) int32, -1 where it has none."""
+
+    name: str
+    transfer: Array
+    element_points: Array
+    residual: Array = field(default_factory=lambda: np.empty((0, 0, 3), np.float32))
+    visibility: Array = field(default_factory=lambda: np.empty((0, 0), np.float32))
+
+    def __post_init__(self) -> None:
+        """Without residual or lights: arrays of the right length."""
+        for name in ("residual", "visibility"):
+            value = getattr(self, name)
+            if not value.size:
+                shape = (len(self.transfer), *value.shape[1:])
+                object.__setattr__(self, name, np.empty(shape, np.float32))
+
+    def at_elements(self, values: Array) -> Array:
+        """``values`` (P, ...), one of the arrays above, at every vertex or corner (E, ...), 0 where
+        nothing was traced."""
+        shown: Array = values[self.element_points]
+        shown[self.element_points < 0] = 0
+        return shown
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a run leaves: ``image_sh`` (25, 3) float64 is the light's image (or 1, where there is
+    none) unrotated and without its strength, its peaks included; ``peaks`` are those that the
+    receivers' visibilities belong to; ``report`` is the JSON report."""
+
+    image_sh: Array | None
+    receivers: tuple[ReceiverResult, ...]
+    report: dict[str, Any]
+    peaks: tuple[Peak, ...] = ()
+
+
+def write_results(results: Results, folder: Path) -> None:
+    """Write ``results`` into ``folder``: under another name first, so they are whole or absent."""
+    unfinished = folder / f"{RESULTS}.tmp"
+    unfinished.mkdir()
+    if results.image_sh is not None:
+        np.save(unfinished / "light.npy", results.image_sh)
+    for i, result in enumerate(results.receivers):
+        for name in RESULT_ARRAYS:
+            np.save(unfinished / f"{i}_{name}.npy", getattr(result, name))
+    report = {
+        "names": [r.name for r in results.receivers],
+        "peaks": [asdict(peak) for peak in results.peaks],
+        "report": results.report,
+    }
+    (unfinished / "report.json").write_text(json.dumps(report), encoding="utf-8")
+    unfinished.rename(folder / RESULTS)
+
+
+def read_results(folder: Path) -> Results:
+    """The results in ``folder``, loaded whole."""
+    done = folder / RESULTS
+    values = json.loads((done / "report.json").read_text(encoding="utf-8"))
+    receivers = tuple(
+        ReceiverResult(name, *(np.load(done / f"{i}_{array}.npy") for array in RESULT_ARRAYS))
+        for i, name in enumerate(values["names"])
+    )
+    light = done / "light.npy"
+    image_sh = np.load(light) if light.exists() else None
+    peaks = tuple(
+        Peak(tuple(p["direction"]), tuple(p["irradiance"]), p["angular_radius"])
+        for p in values["peaks"]
+    )
+    return Results(image_sh, receivers, values["report"], peaks)
