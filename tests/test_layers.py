@@ -23,6 +23,7 @@ ENGINE = {
     "tracing": {"surface"},
     "light": {"files", "surface", "tracing"},
     "vertex": {"surface", "tracing"},
+    "texture": {"surface", "tracing", "vertex"},
 }
 WHOLE_ENGINE = {"addon/prt", *(f"addon/prt/{part}" for part in ENGINE)}
 PACKAGES = NATIVE | THREADS | {"numpy"}

@@ -1,0 +1,173 @@
+"""Values of the texels of a receiver: traced where they must be, interpolated between, filled where
+the surface lies inside of other things, and stitched along seams."""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..job import Receiver, Settings
+from ..surface.points import Float, Index
+from ..surface.samples import random_places
+from ..tracing.rays import Occlusion
+from ..vertex.traced import FALL, Trace, Traced
+from .cover import cover
+from .edges import edges_of
+from .fill import AROUND, grow
+from .places import Array, Mesh
+from .refine import BETWEEN, BURIED, SHARES, TRACED, Grid, Refinement
+from .sampling import footprint
+from .stitch import Samples, Stitch
+from .tracer import NOWHERE, Tracer
+
+LEAST = 1e-3  # relative error that is always let pass: nobody sees it, and noise is above it
+RINGS = 2  # of buried texels about those that are not: what a read beside them touches
+PROBES = (64, 1024)  # the fewest and the most places that tell the error over the surface
+PROBE_SHARE = 1 / 64  # of the texels traced
+PROBE_RAYS = 4.0  # times a texel's
+READ = 4 / 9  # of the texels' squared noise is left in a bilinear read, in the mean
+
+
+@dataclass(frozen=True)
+class Texels:
+    """``values`` (T, K) float32 of the texels ``index`` (T,), row r and column c at r N + c, in
+    rising order; ``entry``, what the report says about them; ``traced``, places that rays started
+    from, or some of them."""
+
+    index: Index
+    values: Array
+    entry: dict[str, Any]
+    traced: Traced
+
+
+def solve(  # noqa: PLR0917 - as for vertices, and where it lies
+    receiver: Receiver,
+    uvs: Array,
+    size: int,
+    trace: Trace,
+    occlusion: Occlusion,
+    settings: Settings,
+    *,
+    rays: int,
+    noise: float,
+    light: Float | None = None,
+) -> Generator[int, None, Texels]:
+    """Values of the texels of ``receiver`` in an atlas of ``size``², where its corners lie at
+    ``uvs`` (C, 2), out of about ``rays`` a texel, whose tracing has a relative error of ``noise``.
+
+    ``light`` (turns, n², 3), the radiance coefficients at each turn, tells how much of what an
+    artist sees the residual columns are; without it they count for themselves.  Yields the rays
+    cast so far.
+    """
+    mesh = Mesh.of(receiver, uvs, size)
+    index, triangles = yield from cover(mesh.layout, mesh.surface.solid)
+    edges = edges_of(receiver, mesh.surface, mesh.layout)
+    grid = Grid.of(size, index, edges.region[triangles])
+    tracer = Tracer(mesh, index, triangles, trace, occlusion, order=settings.order, rays=rays)
+    work = Refinement(grid, tracer)
+    yield from work.start()
+    scale = Scale.of(work.values[work.state == TRACED], settings.order**2, light)
+    yield from work.go_on(scale, max(settings.tolerance or noise, LEAST))
+    yield from _push_out(work, grid, tracer, edges.region)
+    known = work.state != BURIED
+    grow(grid, work.values, known, RINGS)
+    values, counts = work.values[known], np.bincount(work.state, minlength=4)
+    at = Grid.of(size, index[known], grid.region[known]).at
+    seams = Samples.of(edges.seams, size, at)
+    before = seams.jumps(values)
+    Stitch(seams).solve(values)
+    values[:, 0] = np.maximum(values[:, 0], 0)
+    entry = {
+        "texels": len(values),
+        "traced_texels": int(counts[TRACED]),
+        "interpolated_texels": int(counts[BETWEEN]),
+        "filled_texels": len(values) - int(counts[TRACED] + counts[BETWEEN]),
+        "buried_points": int(counts[BURIED]),
+        "seams": _seam_report(scale, before, seams.jumps(values)),
+    }
+    errors = yield from _errors(tracer, values, at, settings, noise)
+    return Texels(index[known], values, {"rays": tracer.cast, **entry, **errors}, tracer.traced)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How large differences look: those of ``groups`` of columns, linear forms of the values, each
+    relative to the RMS of its own."""
+
+    groups: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, values: Array, transfer: int, light: Float | None) -> "Scale":
+        """Of ``values`` (M, K), of which the first ``transfer`` columns are the transfer."""
+        columns = values.shape[1]
+        each = np.eye(columns, dtype=np.float32)
+        forms = [each[:, :transfer]]
+        rest = transfer
+        for radiance in () if light is None else light:
+            seen = each[:, rest : rest + 3].copy()
+            if seen.shape[1] == 3:  # exit radiance of a white surface: transfer and residual
+                seen[:transfer] = radiance
+                forms.append(seen)
+                rest += 3
+        forms.append(each[:, rest:])
+        groups = []
+        for form in forms:
+            if form.size and len(values):
+                rms = float(np.sqrt(np.mean((values @ form) ** 2, dtype=np.float64)))
+                groups.append(form / (max(rms, 1e-20) * form.shape[1] ** 0.5))
+        return cls(tuple(groups))
+
+    def __call__(self, differences: Array) -> Array:
+        """The largest of what the groups say of ``differences`` (M, K), relative (M,)."""
+        found = [np.zeros(len(differences), np.float32)]
+        found += [np.sqrt(np.square(differences @ group).sum(axis=1)) for group in self.groups]
+        return np.asarray(np.max(found, axis=0), np.float32)
+
+
+def _push_out(
+    work: Refinement, grid: Grid, tracer: Tracer, region: Index
+) -> Generator[int, None, None]:
+    """Trace buried texels beside others that are not from where they are seen, if it is near."""
+    rows = np.flatnonzero(work.state == BURIED)
+    near = grid.neighbours(rows, AROUND)
+    beside = ((near >= 0) & (work.state[near] != BURIED)).any(axis=1)
+    out, places = yield from tracer.pushed_out(rows[beside], region)
+    values, hidden = yield from tracer.follow(places, SHARES[1])
+    work.values[out[~hidden]] = values[~hidden]
+    work.state[out[~hidden]] = TRACED
+
+
+def _seam_report(scale: Scale, before: Array, after: Array) -> dict[str, Any]:
+    """What the report says of the jumps (S, K) across seams, relative to the object's RMS."""
+    if not len(before):
+        return {"samples": 0, "jump_before": 0.0, "jump_after": 0.0}
+    jumps = [float(np.quantile(scale(jump), 0.999)) for jump in (before, after)]
+    return {"samples": len(before), "jump_before": jumps[0], "jump_after": jumps[1]}
+
+
+def _errors(
+    tracer: Tracer, values: Array, at: npt.NDArray[np.int32], settings: Settings, noise: float
+) -> Generator[int, None, dict[str, float]]:
+    """The relative error over the surface, of the noise and of what lies between the texels, from
+    places that are traced with many rays."""
+    mesh, columns = tracer.mesh, settings.order**2
+    count = int(np.clip(tracer.places * PROBE_SHARE, *PROBES)) * bool(len(values))
+    places = random_places(mesh.surface.areas, count, settings.seed) if count else NOWHERE
+    noisier = tracer.mean_noisier()
+    found, hidden = yield from tracer.follow(places, PROBE_RAYS)
+    uvs = np.einsum("pk,pkc->pc", places.barycentric, mesh.layout.corners[places.triangles])
+    texels, weights = footprint((uvs + 0.5) / mesh.layout.size, mesh.layout.size)
+    rows = at.reshape(-1)[texels]
+    seen = ~hidden & ((rows >= 0) | (weights < 1e-6)).all(axis=1)
+    shown = np.einsum("pj,pjk->pk", weights[seen], values[rows[seen], :columns])
+    truth = found[seen, :columns]
+    size = max(float(np.square(truth, dtype=np.float64).mean()) if truth.size else 0.0, 1e-300)
+    missed = float(np.square(shown - truth).mean()) / size if truth.size else 0.0
+    surface = max(missed - (noise * PROBE_RAYS**-FALL) ** 2, 0.0)
+    of_noise = READ * (noise * noisier) ** 2
+    return {
+        "interpolation_error": max(surface - of_noise, 0.0) ** 0.5,
+        "surface_error": surface**0.5,
+    }

@@ -1,0 +1,160 @@
+"""Traces places of texels, tells which of them lie inside of other things, and keeps a record."""
+
+from collections.abc import Generator
+from functools import reduce
+
+import numpy as np
+import numpy.typing as npt
+
+from ..surface.points import Index, morton_order
+from ..surface.samples import Places
+from ..tracing.buried import buried, rays_for
+from ..tracing.rays import Occlusion
+from ..vertex.parts import joined
+from ..vertex.traced import FALL, Trace, Traced
+from .cover import Mask
+from .places import Array, Mesh
+
+FEWEST = 16  # rays of a place
+PIECE = 1 << 16  # places that are found together
+RECORDS = 1 << 19  # texels of which each place that was traced is kept; of more, every second one
+NONE = np.zeros(0, np.int64)
+NOWHERE = Places(NONE, np.zeros((0, 3)))
+AWAY = 0.5 * np.array([[-1, 0], [1, 0], [0, -1], [0, 1], [-1, -1], [1, -1], [-1, 1], [1, 1]])
+
+
+class Tracer:
+    """Traces the texels ``index`` (T,) of ``mesh``, which stand on ``triangles`` (T,).
+
+    ``rays`` are those of a place whose share of them is 1; of what is found the first ``order``²
+    columns are the transfer.
+    """
+
+    def __init__(
+        self, mesh: Mesh, index: Index, triangles: Index, trace: Trace, occlusion: Occlusion,
+        *, order: int, rays: int,
+    ) -> None:  # fmt: skip
+        self.mesh, self._index, self._triangles = mesh, index, triangles
+        self._trace, self._occlusion, self._order = trace, occlusion, order
+        self.rays, self.cast, self.places = rays, 0, 0
+        self._found: list[Traced] = []
+        self._thin = 1 + len(index) // RECORDS
+
+    @property
+    def traced(self) -> Traced:
+        """What was found, of every place or, where there are many, of some."""
+        nothing = np.zeros((0, 3), np.float32)
+        start = Traced(nothing, nothing, nothing, NONE, NOWHERE, NONE, np.zeros(0))
+        return reduce(Traced.and_, self._found) if self._found else start
+
+    def mean_noisier(self) -> float:
+        """How many times noisier than a place with all rays those are that were traced, RMS."""
+        squares = np.concatenate([np.zeros(0), *(found.noisier for found in self._found)]) ** 2
+        return float(np.sqrt(squares.mean())) if len(squares) else 1.0
+
+    def at(self, rows: Index, offset: npt.NDArray[np.float64]) -> Places:
+        """The places nearest to ``offset`` texels, (2,) or (M, 2), from the centres of the texels
+        ``rows`` (M,), on the triangles that these stand on."""
+        offsets = np.broadcast_to(offset, (len(rows), 2))
+        found = []
+        for some in _pieces(len(rows)):
+            texels, triangles = self._index[rows[some]], self._triangles[rows[some]]
+            found.append(self.mesh.places(texels, triangles, offsets[some]))
+        return joined(found)
+
+    def follow(self, places: Places, share: float) -> Generator[int, None, tuple[Array, Mask]]:
+        """What is found (M, K) at ``places`` (M,) with ``share`` of the rays, and which of them are
+        buried.  Yields the rays cast so far."""
+        rays = max(FEWEST, round(self.rays * share))
+        origins, normals = self._starts(places)
+        order = morton_order(origins.astype(np.float64))
+        origins, normals = origins[order], normals[order]
+        before, steps = self.cast, self._trace(origins, normals, rays)
+        while True:
+            try:
+                self.cast = before + next(steps)
+            except StopIteration as stop:
+                found: Array = stop.value
+                break
+            yield self.cast
+        if not len(found):
+            return found, np.zeros(0, bool)
+        transfer = found[:, : self._order**2]
+        unseen = buried(origins, normals, transfer, self._occlusion)
+        self.cast += rays_for(transfer)
+        self.places += len(places)
+        self._keep(Traced(origins, normals, found, *self._how(places[order], rays)), ~unseen)
+        values, hidden = np.empty_like(found), np.empty_like(unseen)
+        values[order], hidden[order] = found, unseen
+        return values, hidden
+
+    def _how(
+        self, places: Places, rays: int
+    ) -> tuple[Index, Places, Index, npt.NDArray[np.float64]]:
+        """The rest of what is recorded of ``places``."""
+        ones = np.ones(len(places), np.int64)
+        noisier = np.full(len(places), (self.rays / rays) ** FALL)
+        return -ones, places, rays * ones, noisier
+
+    def _keep(self, traced: Traced, seen: Mask) -> None:
+        some = seen & (np.arange(len(seen)) % self._thin == 0)
+        self._found.append(traced[some])
+
+    def _starts(self, places: Places) -> tuple[Array, Array]:
+        pieces = [self.mesh.starts(places[some]) for some in _pieces(len(places))]
+        nothing = np.zeros((0, 3), np.float32)
+        origins, normals = ([nothing, *(piece[k] for piece in pieces)] for k in range(2))
+        return np.concatenate(origins), np.concatenate(normals)
+
+    def glance(self, places: Places) -> Generator[int, None, Mask]:
+        """Which ``places`` (M,) are buried, from a few rays each.  Yields the rays cast so far."""
+        hidden = np.zeros(len(places), bool)
+        for some in _pieces(len(places)):
+            origins, normals = self.mesh.starts(places[some])
+            dark = np.zeros((len(origins), 1), np.float32)
+            hidden[some] = buried(origins, normals, dark, self._occlusion)
+            self.cast += rays_for(dark)
+            yield self.cast
+        return hidden
+
+    def texels(
+        self, rows: Index, share: float, fine: bool
+    ) -> Generator[int, None, tuple[Array, Mask]]:
+        """What is found (M, K) at the texels ``rows`` (M,) with ``share`` of the rays, and which of
+        them are buried.  Where it is ``fine``, at two places a quarter of a texel from the centre
+        along each axis, across for every second texel, of which the one that is seen counts."""
+        if not fine:
+            return (yield from self.follow(self.at(rows, np.zeros(2)), share))
+        row, column = np.divmod(self._index[rows], self.mesh.layout.size)
+        across = np.where((row + column) % 2, -0.25, 0.25)
+        offset = np.stack([np.full(len(rows), 0.25), across], axis=1)
+        places = joined([self.at(rows, offset), self.at(rows, -offset)])
+        found, hidden = yield from self.follow(places, share / 2)
+        weights = (~hidden).astype(np.float32).reshape(2, -1, 1)
+        weights[:, (weights == 0).all(axis=0)[:, 0]] = 1
+        values = (found.reshape(2, len(rows), -1) * weights).sum(axis=0) / weights.sum(axis=0)
+        return values, hidden.reshape(2, -1).all(axis=0)
+
+    def are_buried(self, rows: Index) -> Generator[int, None, Mask]:
+        """Which of the texels ``rows`` (M,) are buried.  Yields the rays cast so far."""
+        return (yield from self.glance(self.at(rows, np.zeros(2))))
+
+    def pushed_out(self, rows: Index, region: Index) -> Generator[int, None, tuple[Index, Places]]:
+        """Those of the texels ``rows`` (M,) whose centres are buried that have another place half a
+        texel from there, in the same ``region`` (F,) of triangles, which is not; and that place.
+        Yields the rays cast so far."""
+        left, out, places = rows, [NONE], [NOWHERE]
+        for offset in AWAY:
+            found, there = yield from self.mesh.at(self._index[left], offset)
+            hidden = yield from self.glance(there)
+            near = np.flatnonzero(found)
+            same = region[there.triangles] == region[self._triangles[left[near]]]
+            chosen = near[~hidden & same]
+            out.append(left[chosen])
+            places.append(there[~hidden & same])
+            left = np.delete(left, chosen)
+        return np.concatenate(out), joined(places)
+
+
+def _pieces(count: int) -> list[slice]:
+    return [slice(first, first + PIECE) for first in range(0, count, PIECE)]
