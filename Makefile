@@ -4,6 +4,7 @@
 # make package  the extension's zips, one a platform, in dist/
 # make bench    run time against error beside the peers, into docs/benchmarks.md: some minutes;
 #               make bench-full measures everything, in hours
+# make viewer   a page that shows a baked .glb; GLB=FILE opens one at once
 # make real-blender   the zip in a real Blender under Xvfb (root, Debian)
 #
 # PYTHON=... chooses the interpreter (3.13 or 3.11), VENV=... the folder of the environment
@@ -11,18 +12,19 @@
 VENV ?= .venv
 PYTHON ?=
 VALIDATOR := tests/gltf/node_modules
+VIEWER := viewer/node_modules
 
 # EEVEE compiles its shaders for half a minute when this is empty; one BLAS thread a process
 export MESA_SHADER_CACHE_DIR ?= $(CURDIR)/.cache/mesa
 export OPENBLAS_NUM_THREADS ?= 1
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 
-.PHONY: demo test bench bench-full bench-packages venv lint format package wheels real-blender clean
+.PHONY: demo test bench bench-full bench-packages venv lint format package wheels browser viewer real-blender clean
 
 demo: venv
 	python tools/demo.py
 
-test: lint wheels $(VALIDATOR)
+test: lint wheels $(VALIDATOR) $(VIEWER) browser
 	pytest
 
 bench: bench-packages
@@ -57,6 +59,17 @@ wheels: venv
 $(VALIDATOR): tests/gltf/package-lock.json | venv
 	npm ci --prefix tests/gltf --no-audit --no-fund
 	@touch $@
+
+$(VIEWER): viewer/package-lock.json | venv
+	npm ci --prefix viewer --no-audit --no-fund
+	@touch $@
+
+# Chromium, in which the viewer is tested
+browser: venv
+	@tools/system_packages.sh python browser
+
+viewer: $(VIEWER)
+	npm start --prefix viewer -- $(GLB)
 
 real-blender: wheels
 	pytest -s tools/real_blender

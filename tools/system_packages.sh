@@ -1,7 +1,8 @@
 #!/bin/sh
 # Makes sure of the Debian packages that Blender's wheel needs: root installs what is missing,
 # anyone else gets the one line that does, and exit code 2.
-#   system_packages.sh PYTHON
+# With "browser" it wants Chromium too, in which the viewer is tested.
+#   system_packages.sh PYTHON [browser]
 set -eu
 command -v apt-get >/dev/null || exit 0 # not Debian: Blender's wheel will say what it misses
 python=$1
@@ -26,6 +27,10 @@ need libXxf86vm.so.1 libxxf86vm1
 
 "$python" -c 'import ensurepip, venv' 2>/dev/null ||
     missing="$missing $("$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')"
+
+if [ "${2:-}" = browser ] && ! command -v chromium >/dev/null; then
+    missing="$missing chromium"
+fi
 
 [ -n "$missing" ] || exit 0
 install="apt-get install -y --no-install-recommends$missing"

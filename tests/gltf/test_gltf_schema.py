@@ -1,9 +1,7 @@
 """What we write is valid glTF, and its extras are as docs/gltf.schema.json has them."""
 
-import json
-import struct
-
 import pytest
+from glb_edit import of_mesh, of_scene, rewritten
 from gltf_scenes import BAKED, export, monkey
 from gltf_validator import assert_valid
 from prt_baker.addon import gltf_export
@@ -16,27 +14,6 @@ def test_every_kind_of_file_is_valid(scene, bake, out, make):
     assert any("prt" in mesh.get("extras", {}) for mesh in glb.document["meshes"])
     assert any("prt_light" in found.get("extras", {}) for found in glb.document["scenes"])
     assert_valid(out)
-
-
-def broken(path, change):
-    """The file with ``change`` made to its document."""
-    data = path.read_bytes()
-    (length,) = struct.unpack_from("<I", data, 12)
-    document = json.loads(data[20 : 20 + length])
-    change(document)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + length :]
-    head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
-    path.write_bytes(head + text + rest)
-
-
-def of_mesh(**values):
-    return lambda document: document["meshes"][0]["extras"]["prt"].update(values)
-
-
-def of_scene(**values):
-    return lambda document: document["scenes"][0]["extras"]["prt_light"].update(values)
 
 
 T9 = [f"T{i}" for i in range(9)]
@@ -70,14 +47,14 @@ RESIDUAL = ["R0r", "R0g", "R0b"]
 def test_the_schema_can_fail(scene, bake, out, change):
     bake(monkey(), turns=1)
     gltf_export.write(str(out))
-    broken(out, change)
+    rewritten(out, change)
     with pytest.raises(AssertionError, match="/extras/prt"):
         assert_valid(out)
 
 
 def test_extras_of_a_valid_file_may_be_rewritten(scene, bake, out):
-    """``broken`` breaks nothing by itself."""
+    """``rewritten`` breaks nothing by itself."""
     bake(monkey(), turns=1)
     gltf_export.write(str(out))
-    broken(out, of_mesh(layout=[*T9, *RESIDUAL]))
+    rewritten(out, of_mesh(layout=[*T9, *RESIDUAL]))
     assert_valid(out)

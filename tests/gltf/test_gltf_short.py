@@ -8,20 +8,10 @@ from glb import Glb
 from gltf_laws import light_of
 from gltf_scenes import BAKED, COLORS, colored, monkey, rotated
 from gltf_validator import assert_valid
-from prt_baker.addon import gltf_attributes, gltf_export, gltf_panel, properties
+from prt_baker.addon import gltf_attributes, gltf_export, gltf_panel
 
 STEP = 1 / 65534  # of a float's scale: the largest error
 ROUNDING = STEP * 0.02  # of float32: two products
-
-
-@pytest.fixture
-def registered():
-    """The artist's choice."""
-    properties.register()
-    gltf_panel.register()
-    yield
-    gltf_panel.unregister()
-    properties.unregister()
 
 
 @pytest.fixture

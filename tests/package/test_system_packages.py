@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -11,7 +12,7 @@ import pytest
 def bare_machine(root, tmp_path):
     """Run tools/system_packages.sh where no library is found, as user ``uid``."""
 
-    def run(uid, libraries=""):
+    def run(uid, libraries="", *wanted):
         programs = {
             "ldconfig": f"cat {tmp_path}/libraries",
             "id": f"echo {uid}",
@@ -23,7 +24,7 @@ def bare_machine(root, tmp_path):
             (tmp_path / name).chmod(0o755)
         path = f"{tmp_path}:{os.environ['PATH']}"
         return subprocess.run(
-            [root / "tools" / "system_packages.sh", sys.executable],
+            [root / "tools" / "system_packages.sh", sys.executable, *wanted],
             env={**os.environ, "PATH": path},
             capture_output=True,
             text=True,
@@ -60,3 +61,20 @@ def test_only_what_is_missing_is_named(bare_machine):
     without = "\n".join(line for line in everything.splitlines() if "libEGL.so.1 " not in line)
     assert bare_machine(uid=1000, libraries=everything).returncode == 0
     assert bare_machine(uid=1000, libraries=without).stderr.split()[-1] == "libegl1"
+
+
+def test_the_tests_want_a_browser_too(bare_machine, tmp_path, monkeypatch):
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    for path in {**by_name("/bin"), **by_name("/usr/bin")}.values():
+        if "chrom" not in path.name:
+            (programs / path.name).symlink_to(path)
+    monkeypatch.setenv("PATH", str(programs))
+    assert "chromium" not in bare_machine(1000).stderr
+    assert bare_machine(1000, "", "browser").stderr.split()[-1] == "chromium"
+    (programs / "chromium").symlink_to("/bin/true")
+    assert "chromium" not in bare_machine(1000, "", "browser").stderr
+
+
+def by_name(folder):
+    return {path.name: path for path in Path(folder).iterdir()}
