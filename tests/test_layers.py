@@ -24,6 +24,7 @@ ENGINE = {
     "light": {"files", "surface", "tracing"},
     "vertex": {"surface", "tracing"},
     "texture": {"surface", "tracing", "vertex"},
+    "bounces": {"surface", "tracing"},
 }
 WHOLE_ENGINE = {"addon/prt", *(f"addon/prt/{part}" for part in ENGINE)}
 PACKAGES = NATIVE | THREADS | {"numpy"}

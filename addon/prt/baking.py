@@ -9,16 +9,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from .bounces.hits import Gathered, Recorder
+from .bounces.keeper import Keeper, keep, retrace
 from .cache import Cache, Keys
+from .cache import Entry as Kept
 from .errors import BakeError
-from .job import Job, Progress
+from .job import Job, Progress, Receiver
 from .light.world import World
 from .meter import Meter
 from .results import RESULT_ARRAYS, ReceiverResult
 from .surface.points import Points, distinct_points
 from .tape import Remembered, Tape
 from .tracing.horizon import Surroundings
-from .tracing.rays import Occlusion, occlusion
+from .tracing.rays import Geometry, occlusion
 from .tracing.tolerance import FALL, Effort, effort
 from .tracing.transfer import CAST, MAP_RAYS, Counts, Shortcuts, estimate_error, trace_all
 from .vertex.solver import Solved, solve
@@ -28,6 +31,16 @@ Entry = dict[str, Any]
 
 SAME_PLACE = "the same position and normal"
 UNCHANGED = "nothing has changed since an earlier bake"
+
+
+@dataclass(frozen=True)
+class Far:
+    """Hashes of what a ``result`` and the ``visibility`` behind it depend on out of reach, and of
+    what the ``rays`` of all receivers together do."""
+
+    result: bytes = b""
+    visibility: bytes = b""
+    rays: bytes = b""
 
 
 class Scene:
@@ -41,20 +54,21 @@ class Scene:
         )
 
     @cached_property
-    def occlusion(self) -> Occlusion:
+    def occlusion(self) -> Geometry:
         """Embree over everything, built when the first ray is cast."""
         with self.meter.phase("acceleration structure"):
             return occlusion(self.job.occluder_vertices, self.job.occluder_triangles)
 
-    def keys(self, index: int, points: Points) -> tuple[str, str]:
-        """Names of a receiver's result and of its tape; "" for what is not kept."""
+    def keys(self, index: int, points: Points, far: Far | None = None) -> tuple[str, str]:
+        """Names of a receiver's result and of its tape; "" for what is not kept.  ``far`` is what
+        these depend on beside the occluders in reach."""
         if not self.job.settings.cache:
             return "", ""
-        parts = self.surroundings.reachable(points)
-        result = self._keys.receiver("result", index, parts, self.world.is_exact)
-        if not self.world.is_exact:
+        parts, far = self.surroundings.reachable(points), far or Far()
+        result = self._keys.receiver("result", index, parts, self.world.is_exact, far.result)
+        if not (self.world.is_exact or far.visibility):
             return result, ""
-        return result, self._keys.receiver("visibility", index, parts, False)
+        return result, self._keys.receiver("visibility", index, parts, False, far.visibility)
 
 
 @dataclass(frozen=True)
@@ -67,27 +81,36 @@ class Baked:
     solved: Solved | None = None
 
 
+def prepared(receiver: Receiver) -> Points:
+    """The points of ``receiver``; BakeError where it has none."""
+    points = distinct_points(receiver)
+    if not len(points.origins):
+        raise BakeError(
+            f"Object {receiver.name!r} has only faces without area: use Mesh > Clean Up"
+        )
+    return points
+
+
+def unchanged(name: str, points: Points, known: Kept) -> Baked:
+    """What was kept of a receiver that is now called ``name``."""
+    arrays = {array: np.array(known.arrays[array]) for array in RESULT_ARRAYS}
+    skipped = {UNCHANGED: known.report["rays"]}
+    entry = {**known.report, "name": name, "rays": 0, "skipped": skipped}
+    entry.update(seconds={}, mrays_per_second=0.0)
+    return Baked(ReceiverResult(name, **arrays), entry, points)
+
+
 def bake(scene: Scene, index: int) -> Generator[Progress, None, Baked]:
     """Bake receiver ``index`` of the scene's job, or find it in the cache."""
     receiver = scene.job.receivers[index]
     with scene.meter.phase("prepare"):
-        points = distinct_points(receiver)
-        if not len(points.origins):
-            raise BakeError(
-                f"Object {receiver.name!r} has only faces without area: use Mesh > Clean Up"
-            )
+        points = prepared(receiver)
         result_key, tape_key = scene.keys(index, points)
         known = scene.cache.get(result_key) if result_key else None
     if known is not None:
-        arrays = (np.array(known.arrays[name]) for name in RESULT_ARRAYS)
-        skipped = {UNCHANGED: known.report["rays"]}
-        entry = {**known.report, "name": receiver.name, "rays": 0, "skipped": skipped}
-        entry.update(seconds={}, mrays_per_second=0.0)
-        transfer, residual, visibility, element_points = arrays
         scene.meter.done += len(points.origins)
-        result = ReceiverResult(receiver.name, transfer, element_points, residual, visibility)
-        return Baked(result, entry, points)
-    work = _Work(scene, index, points, Tape(scene.cache, tape_key))
+        return unchanged(receiver.name, points, known)
+    work = Work(scene, index, points, Tape(scene.cache, tape_key))
     solved = yield from work.solve()
     result, entry = work.result(solved), work.entry(solved)
     if result_key:
@@ -96,11 +119,16 @@ def bake(scene: Scene, index: int) -> Generator[Progress, None, Baked]:
     return Baked(result, entry, points, solved)
 
 
-class _Work:
-    """The bake of one receiver.  Where its tape is known only the map's own rays are traced."""
+class Work:
+    """The bake of one receiver, without bounces.  Where its tape is known only the map's own rays
+    are traced.  What the rays meet is in ``met`` where a ``keeper`` is to keep it, for the places
+    that were traced, one after the other."""
 
-    def __init__(self, scene: Scene, index: int, points: Points, tape: Tape) -> None:
-        self._scene, self._points, self._tape = scene, points, tape
+    def __init__(
+        self, scene: Scene, index: int, points: Points, tape: Tape, keeper: Keeper | None = None
+    ) -> None:
+        self._scene, self._points, self._tape, self._keeper = scene, points, tape, keeper
+        self.met: list[Gathered] = []
         self._receiver, self._settings = scene.job.receivers[index], scene.job.settings
         self._occlusion = Remembered(lambda: scene.occlusion, tape)
         self._counts: Counts = Counter()
@@ -121,7 +149,7 @@ class _Work:
                 steps = effort(points, self._occlusion, self._settings, self._shortcuts)
                 self._effort = yield from meter.follow("effort", steps, 0, 1)
             self._counts[CAST] += self._effort.cast
-        self._shortcuts = replace(self._shortcuts, pilot=self._effort.pilot)
+        self._shortcuts = replace(self._shortcuts, pilot=0 if self._keeper else self._effort.pilot)
         expected = len(points.origins) * (self._effort.rays + self._map_rays())
         with meter.phase("transfer"):
             found = solve(
@@ -154,17 +182,28 @@ class _Work:
         columns = coefficients + (gather.columns if gather else 0)
         values = np.empty((len(origins), columns), np.float32)
         bits = self._tape.visibility(len(origins), rays)
+        places = Points(origins, normals, np.empty(0, np.int32))
+        recorder = self._keeper.recorder() if self._keeper and not self._tape.known else None
         self._counts += yield from trace_all(
-            Points(origins, normals, np.empty(0, np.int32)),
+            places,
             self._occlusion,
             replace(self._settings, rays=rays),
             values,
-            shortcuts=replace(self._shortcuts, bits=bits),
+            shortcuts=replace(self._shortcuts, bits=bits, look=recorder),
             gather=gather,
         )
+        self._keep(places, rays, recorder)
         if world is not None:
             world.leave_residuals(values, coefficients)
         return values
+
+    def _keep(self, places: Points, rays: int, recorder: Recorder | None) -> None:
+        """Keep what the rays of ``places`` met, or what they did when the tape was recorded."""
+        if self._keeper is not None:
+            settings = replace(self._settings, rays=rays)
+            again = retrace(places, self._occlusion, settings, self._shortcuts)
+            count = len(places.origins)
+            self.met.append(keep(self._keeper, self._tape, recorder, count, rays, again))
 
     def _estimate(self, solved: Solved) -> None:
         """The error at the traced places, pooled: found for those with the most usual number of

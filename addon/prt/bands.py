@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,9 +40,9 @@ def cut(result: ReceiverResult, order: int, turns_sh: Float) -> ReceiverResult:
     if kept >= whole:
         return result
     residual = result.residual.copy()
-    rest = result.transfer[:, 0, kept:]
+    rest = result.transfer[..., kept:]
     for k, light in enumerate(turns_sh[: residual.shape[1]]):
-        residual[:, k] += rest @ light[kept:whole].astype(np.float32)
+        residual[:, k] += exit_radiance(rest, light[kept:whole])
     return replace(
         result, transfer=np.ascontiguousarray(result.transfer[..., :kept]), residual=residual
     )
@@ -54,9 +55,18 @@ def _left_out(result: ReceiverResult, order: int, radiance_sh: Float | None) -> 
     if radiance_sh is None:
         rest, total = transfer[..., kept:], transfer
     else:
-        rest = transfer[..., kept:] @ radiance_sh[kept:whole]
-        total = transfer @ radiance_sh[:whole]
+        rest = exit_radiance(transfer[..., kept:], radiance_sh[kept:whole])[:, None]
+        total = exit_radiance(transfer, radiance_sh[:whole])[:, None]
     size = float(np.square(total).mean()) if total.size else 0.0
     lost = float(np.square(rest).sum(axis=-1).mean()) if rest.size else 0.0
     size *= total.shape[-1] if total.size else 1
     return (lost / size) ** 0.5 if size > 0 else 0.0
+
+
+def exit_radiance(transfer: npt.NDArray[Any], radiance_sh: Float) -> npt.NDArray[Any]:
+    """Exit radiance (P, 3) of a white surface with ``transfer`` (P, channels, n²) under light
+    ``radiance_sh`` (n², 3)."""
+    light = radiance_sh.astype(transfer.dtype)
+    if transfer.shape[1] == 1:
+        return np.asarray(transfer[:, 0] @ light)
+    return np.stack([transfer[:, c] @ light[:, c] for c in range(3)], axis=1)

@@ -103,17 +103,22 @@ class Keys:
         self._parts: dict[int, bytes] = {}
         self._light: bytes | None = None
 
-    def receiver(self, what: What, index: int, parts: Iterable[int], with_light: bool) -> str:
+    def receiver(
+        self, what: What, index: int, parts: Iterable[int], with_light: bool, more: bytes = b""
+    ) -> str:
         """Names ``what`` of receiver ``index``: it depends on its arrays, on the occluders
         ``parts``, whatever their order and their names, on the settings that decide it and on this
-        program's version; on the light and its settings only where ``with_light``."""
+        program's version; on the light and its settings only where ``with_light``; and on ``more``
+        that the caller knows of."""
         job = self._job
         receiver = job.receivers[index]
-        without = NEVER if with_light else NEVER + BY_LIGHT
+        without: tuple[str, ...] = NEVER if with_light else NEVER + BY_LIGHT
+        without += ("bounces",) if what == "visibility" else ()
         settings = {k: v for k, v in asdict(job.settings).items() if k not in without}
         header = (VERSION, what, receiver.domain, settings, with_light)
         digest = hashlib.blake2b(digest_size=20)
         digest.update(json.dumps(header, sort_keys=True).encode())
+        digest.update(more)
         for name in RECEIVER_ARRAYS:
             add_array(digest, name, getattr(receiver, name))
         for part in sorted(self._part(int(k)) for k in parts):

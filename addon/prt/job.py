@@ -7,6 +7,7 @@ of its own (``results.py``).
     occluder_vertices.npy   (V, 3) float32, world axes, ``centre`` subtracted in float64
     occluder_triangles.npy  (F, 3) int32
     occluder_starts.npy     (O + 1,) int64, see ``Job``
+    occluder_albedo.npy     (F, 3, 3) float32, where light bounces
     0_vertices.npy ...      the arrays of receiver 0, see ``Receiver``; its vertices are float32
                             with ``centre`` subtracted
     image.npy               the pixels of a world that is no file, (H, W, 3) float32
@@ -35,6 +36,7 @@ Kind = Literal["bake", "light", "verify"]
 Vector = tuple[float, float, float]
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
+ALL = -1  # bounces
 LIGHT_ORDER = 5  # the light is always projected to this order: a bake of a lower one reads its head
 
 
@@ -46,9 +48,11 @@ class Settings:
     as that takes.  ``fit`` lets values at vertices be fitted to samples inside the triangles.
     ``residual`` stores what the light's order leaves out, for ``turns`` turns of the world about Z,
     found with ``map_rays`` more candidates a point.  Up to ``peaks`` suns and lamps are cut out of
-    the map.  ``final_light`` says that the light will not change, so that what it doesn't show
-    need not be stored.  ``threads`` 0 means every core and changes no result; nor does ``cache``, a
-    folder that keeps what was traced, "" for none.
+    the map.  ``final_light`` says that the light will not change, so that what it doesn't show need
+    not be stored.  ``bounces`` of light from surface to surface are in the transfer: 0 is shadows
+    alone, ALL goes on until the added light falls below the tolerance.  ``threads`` 0 means every
+    core and changes no result; nor does ``cache``, a folder that keeps what was traced, "" for
+    none.
     """
 
     order: int = 3
@@ -60,6 +64,7 @@ class Settings:
     turns: int = 1
     peaks: int = 0
     final_light: bool = False
+    bounces: int = 0
     cache: str = ""
     seed: int = 0
     threads: int = 0
@@ -117,6 +122,8 @@ class Job:
     Occluder k, an object or an instance, is the triangles from ``occluder_starts[k]`` up to
     ``occluder_starts[k + 1]``, and shares no vertex with another one.  ``occluder_starts`` (O + 1,)
     int64; by default all is one part, or none where there are no triangles.
+    ``occluder_albedo`` (F, 3, 3) float32, linear Rec.709, 0 to 1: the diffuse reflectance at the
+    corners of each occluder triangle, without which nothing bounces.
     """
 
     kind: Kind = "bake"
@@ -127,6 +134,7 @@ class Job:
     occluder_triangles: Array = field(default_factory=lambda: np.empty((0, 3), np.int32))
     repairs: dict[str, int] = field(default_factory=dict)
     occluder_starts: Array = field(default_factory=lambda: np.empty(0, np.int64))
+    occluder_albedo: Array = field(default_factory=lambda: np.empty((0, 3, 3), np.float32))
 
     def __post_init__(self) -> None:
         """One part where none are given; ValueError where the parts are not of these triangles."""
@@ -136,6 +144,13 @@ class Job:
             object.__setattr__(self, "occluder_starts", starts)
         if self.occluder_starts[0] != 0 or self.occluder_starts[-1] != count:
             raise ValueError("occluder_starts do not cover the triangles")
+        if len(self.occluder_albedo) != count and (self.bounces or len(self.occluder_albedo)):
+            raise ValueError("occluder_albedo is not that of the triangles")
+
+    @property
+    def bounces(self) -> int:
+        """As in the settings; 0 where there is nothing that light could bounce off."""
+        return self.settings.bounces if len(self.occluder_triangles) else 0
 
 
 @dataclass(frozen=True)
@@ -237,6 +252,7 @@ def read(folder: Path) -> Job:
         occluder_triangles=_load(folder, "occluder_triangles"),
         repairs=values["repairs"],
         occluder_starts=_load(folder, "occluder_starts"),
+        **_albedo(folder),
     )
 
 
@@ -261,6 +277,8 @@ def _arrays(job: Job, centre: Array | None) -> Iterator[tuple[str, Array]]:
     yield "occluder_vertices", _centred(job.occluder_vertices, centre)
     yield "occluder_triangles", np.asarray(job.occluder_triangles, np.int32)
     yield "occluder_starts", np.asarray(job.occluder_starts, np.int64)
+    if len(job.occluder_albedo):
+        yield "occluder_albedo", np.asarray(job.occluder_albedo, np.float32)
     for i, receiver in enumerate(job.receivers):
         for name in RECEIVER_ARRAYS:
             array = getattr(receiver, name)
@@ -283,6 +301,11 @@ def _light_header(light: LightSource | None) -> dict[str, Any] | None:
     if light is None:
         return None
     return {f.name: getattr(light, f.name) for f in fields(light) if f.name != "pixels"}
+
+
+def _albedo(folder: Path) -> dict[str, Array]:
+    name = "occluder_albedo"
+    return {name: _load(folder, name)} if (folder / f"{name}.npy").exists() else {}
 
 
 def _read_light(values: dict[str, Any] | None, folder: Path) -> LightSource | None:

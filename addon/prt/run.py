@@ -10,6 +10,8 @@ import numpy as np
 
 from . import VERSION, bands
 from .baking import Baked, Scene, bake
+from .bounced import bake_all
+from .bounces.walks import Walls
 from .cache import Cache
 from .files import images
 from .job import Job, Progress, Receiver, content_hash
@@ -60,10 +62,17 @@ def _verify_work(job: Job) -> float:
 
 def _bake(scene: Scene, entries: list[Entry]) -> Generator[Progress, None, list[ReceiverResult]]:
     """Bake every receiver, with an entry of the report for each."""
+    if scene.job.bounces:
+        bakes = yield from bake_all(scene)
+    else:
+        bakes = []
     results = []
     for index, receiver in enumerate(scene.job.receivers):
-        yield scene.meter.progress("prepare")
-        baked = yield from bake(scene, index)
+        if scene.job.bounces:
+            baked = bakes[index]
+        else:
+            yield scene.meter.progress("prepare")
+            baked = yield from bake(scene, index)
         scene.meter.work += len(baked.points.origins) - len(receiver.normals)
         if scene.job.settings.verify_points:
             yield from _measure_bake(scene, receiver, baked)
@@ -99,12 +108,24 @@ def _measure(
     """The measured errors of what ``receiver`` shows."""
     settings = scene.job.settings
     with scene.meter.phase("verify"):
-        light = scene.world.reference(scene.occlusion)
-        steps = measure(receiver, points, scene.occlusion, settings, traced=traced, light=light)
+        walls = _walls(scene)
+        light = None if walls else scene.world.reference(scene.occlusion)
+        steps = measure(
+            receiver, points, scene.occlusion, settings, traced=traced, light=light, walls=walls
+        )
         expected = 2 * settings.verify_points * settings.verify_rays
         share = _verify_work(scene.job)
         measured = yield from scene.meter.follow("verify", steps, share, expected)
     return asdict(measured)
+
+
+def _walls(scene: Scene) -> Walls | None:
+    """What light bounces off, if it does."""
+    job = scene.job
+    if not job.bounces:
+        return None
+    vertices = np.asarray(job.occluder_vertices, np.float32)
+    return Walls(scene.occlusion, vertices, job.occluder_triangles, job.occluder_albedo)
 
 
 def _with_needed_bands(

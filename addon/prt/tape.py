@@ -1,10 +1,11 @@
 """What the rays of one bake found, kept so that another light needs none of them again.
 
 The steps of a bake follow from its job alone, so what is asked comes in the same order each time:
-the visibility of every place's rays, in one array a trace, and the answers to ``meets_back``.
+the visibility of every place's rays, in one array a trace, what they meet where light bounces, and
+the answers to ``meets_back``.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from .tracing.rays import Mask, Occlusion, Vectors
 
 Bits = npt.NDArray[np.uint8]
 
-LARGEST = 1 << 28  # bytes; what is larger is not kept
+LARGEST = 1 << 29  # bytes; what is larger is not kept
 
 
 class Tape:
@@ -27,7 +28,7 @@ class Tape:
         entry = cache.get(key) if key else None
         self.known = entry is not None
         self.report: dict[str, Any] = entry.report if entry else {}
-        self._arrays: dict[str, Bits] = dict(entry.arrays) if entry else {}
+        self._arrays: dict[str, npt.NDArray[Any]] = dict(entry.arrays) if entry else {}
         self._asked = 0
 
     def visibility(self, count: int, rays: int) -> Bits | None:
@@ -50,6 +51,22 @@ class Tape:
         answer = ask()
         self._arrays[name] = np.packbits(answer)
         return answer
+
+    def recall(self, names: Sequence[str]) -> list[npt.NDArray[Any]]:
+        """The next arrays that were kept under ``names``; only where the tape is known."""
+        place = self._next()
+        return [self._arrays[f"{place} {name}"] for name in names]
+
+    def keep(self, arrays: Mapping[str, npt.NDArray[Any]] | None) -> None:
+        """Keep ``arrays`` as the next ones; None were too many, so that nothing can be kept."""
+        if not self._key:
+            return
+        place = self._next()
+        if arrays is None:
+            self._key, self._arrays = "", {}
+            return
+        self._arrays.update({f"{place} {name}": array for name, array in arrays.items()})
+        self._forget_too_much()
 
     def save(self, report: dict[str, Any]) -> None:
         """Keep all that was found."""

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from . import sh
-from .job import Receiver, Settings
+from .bounces.walks import Walls, walk
+from .job import ALL, Receiver, Settings
 from .surface.points import Float, Points, Surface, element_triangles
 from .surface.samples import random_places, starts
 from .tracing.buried import buried, rays_for
@@ -21,6 +22,7 @@ from .tracing.rays import Occlusion
 from .tracing.transfer import relative_rms
 from .vertex.traced import Traced
 
+MOST_STEPS = 256  # of a walk, where bounces go on until nothing is left
 EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 13), [np.inf]])  # of relative errors
 
 
@@ -85,8 +87,8 @@ def random_surface_points(receiver: Receiver, count: int, seed: int) -> Shown:
 def brute_force(
     origins: Float, normals: Float, occlusion: Occlusion, settings: Settings, out: Float
 ) -> Iterator[int]:
-    """Fill ``out`` (P, n²) with the transfer at ``origins`` (P, 3) about unit ``normals`` (P, 3),
-    by ``verify_rays`` rays each, and yield the rays cast so far."""
+    """Fill ``out`` (P, channels, n²) with the transfer at ``origins`` (P, 3) about unit
+    ``normals`` (P, 3), by ``verify_rays`` rays each, and yield the rays cast so far."""
     rays = settings.verify_rays
     azimuth = np.random.default_rng([settings.seed, 7]).random(len(normals)) * 2 * np.pi
     local = cosine_fibonacci(rays)
@@ -98,6 +100,31 @@ def brute_force(
         yield (p + 1) * rays
 
 
+def _reference(  # noqa: PLR0917 - all of a trace
+    origins: Float,
+    normals: Float,
+    occlusion: Occlusion,
+    settings: Settings,
+    walls: Walls | None,
+    out: Float,
+) -> Iterator[int]:
+    if walls is None:
+        return brute_force(origins, normals, occlusion, settings, out)
+    return random_walks(origins, normals, walls, settings, out)
+
+
+def random_walks(
+    origins: Float, normals: Float, walls: Walls, settings: Settings, out: Float
+) -> Iterator[int]:
+    """As ``brute_force``, with light that bounces off ``walls``; ``out`` (P, channels, n²)."""
+    bounces = settings.bounces if settings.bounces != ALL else MOST_STEPS
+    rays, order = settings.verify_rays, settings.order
+    steps = walk(origins, normals, walls, rays, bounces, order, settings.seed)
+    for p, (found, cast) in enumerate(steps):
+        out[p] = found if out.shape[1] == 3 else found.mean(axis=0)
+        yield cast
+
+
 def measure(
     receiver: Receiver,
     points: Points,
@@ -106,20 +133,29 @@ def measure(
     *,
     traced: Traced | None = None,
     light: Light | None = None,
+    walls: Walls | None = None,
 ) -> Generator[int, None, Measured]:
     """Trace ``verify_points`` random points of the surface, and as many of the places that were
     ``traced`` (the points, where that isn't known), again.
 
     Yields the rays cast so far; the errors are the generator's value.  Places inside of other
-    things, which nobody sees, don't count.
+    things, which nobody sees, don't count.  Where light bounces off ``walls`` the reference are
+    random walks, which have some noise of their own; places that were traced say nothing then,
+    since they know the direct light alone, and the points do.
     """
     count = settings.verify_points
     surface = random_surface_points(receiver, count, settings.seed)
-    at = _at_points(receiver, points, count) if traced is None else _at_traced(traced, settings)
+    if traced is None or walls is not None:
+        at = _at_points(receiver, points, count)
+    else:
+        at = _at_traced(traced, settings)
     origins = np.concatenate([surface.origins, at.origins])
     normals = np.concatenate([surface.normals, at.normals])
-    reference = np.empty((len(origins), settings.order**2))
-    yield from brute_force(origins, normals, occlusion, settings, reference)
+    channels = surface.transfer.shape[1]
+    reference = np.empty((len(origins), channels, settings.order**2))
+    cast = 0
+    for cast in _reference(origins, normals, occlusion, settings, walls, reference):
+        yield cast
     seen = ~buried(origins.astype(np.float32), normals.astype(np.float32), reference, occlusion)
     here, there = slice(count, None), slice(count)
     at_points, _, light_at_points = _errors(at, reference[here], seen[here], light)
@@ -128,7 +164,7 @@ def measure(
         at_points,
         on_surface,
         len(origins),
-        len(origins) * settings.verify_rays + rays_for(reference),
+        cast + rays_for(reference),
         {"edges": EDGES[:-1].tolist(), "counts": np.histogram(each, EDGES)[0].tolist()},
         light_at_points,
         light_on_surface,
@@ -140,7 +176,7 @@ def _errors(
 ) -> tuple[float, Float, float | None]:
     """Relative RMS error of the transfer where it is ``seen``, each place's own (S,), relative to
     the RMS size of all, and that of the exit radiance."""
-    expected = np.repeat(reference[:, None], shown.transfer.shape[1], axis=1)[seen]
+    expected = reference[seen]
     squares = np.square(shown.transfer[seen] - expected).mean(axis=(1, 2))
     size = max(float(np.square(expected).mean()) if expected.size else 0.0, 1e-300)
     of_light = None

@@ -20,6 +20,7 @@ from .rays import Occlusion
 
 Array = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.int64]
 
 RAYS = 16
 OPEN = float(sh.open_transfer([0.0, 0.0, 1.0], 1)[0])
@@ -57,9 +58,9 @@ def _dark(transfer: npt.NDArray[Any]) -> Mask:
     return np.asarray(rows[:, :1].sum(axis=1) <= CRACK * OPEN)
 
 
-def fill(points: Points, receiver: Receiver, transfer: Array, hidden: Mask) -> None:
+def fill(points: Points, receiver: Receiver, transfer: Array, hidden: Mask) -> tuple[Index, Index]:
     """Give ``hidden`` points that share a triangle with sound ones the darkest one's ``transfer``
-    (P, n²)."""
+    (P, n²); which points (B,) got it from which (B,)."""
     corners = points.element_points[element_triangles(receiver)]
     corners = corners[(corners >= 0).all(axis=1) & hidden[corners].any(axis=1)]
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
@@ -67,4 +68,6 @@ def fill(points: Points, receiver: Receiver, transfer: Array, hidden: Mask) -> N
     pairs = pairs[hidden[pairs[:, 0]] & ~hidden[pairs[:, 1]]]
     darkest_first = pairs[np.lexsort((transfer[pairs[:, 1], 0], pairs[:, 0]))]
     filled, first = np.unique(darkest_first[:, 0], return_index=True)
-    transfer[filled] = transfer[darkest_first[first, 1]]
+    givers = darkest_first[first, 1]
+    transfer[filled] = transfer[givers]
+    return filled, givers

@@ -4,6 +4,7 @@ The only module that imports embreex.
 """
 
 import logging
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -28,6 +29,26 @@ class Occlusion(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Met:
+    """What R rays meet first: ``triangles`` (R,) int32, -1 where they reach the sky; the shares
+    ``u`` and ``v`` (R,) that the second and third corners have of the place; and the geometric
+    normals there, ``facing`` (R, 3), of any length."""
+
+    triangles: Mask
+    u: Vectors
+    v: Vectors
+    facing: Vectors
+
+
+class Geometry(Occlusion, Protocol):
+    """Triangles that rays meet."""
+
+    def first_met(self, origins: Vectors, directions: Vectors) -> Met:
+        """What rays (R, 3), (R, 3) meet first."""
+        ...
+
+
 class Sky:
     """Nothing is hit."""
 
@@ -38,6 +59,12 @@ class Sky:
     def meets_back(self, origins: Vectors, directions: Vectors) -> npt.NDArray[np.bool_]:  # noqa: ARG002 - no shape
         """No ray meets the back of anything."""
         return np.zeros(len(directions), bool)
+
+    def first_met(self, origins: Vectors, directions: Vectors) -> Met:  # noqa: ARG002 - no shape
+        """No ray meets anything."""
+        nothing = np.zeros(len(directions), np.float32)
+        triangles = np.full(len(directions), -1, np.int32)
+        return Met(triangles, nothing, nothing, np.zeros((len(directions), 3), np.float32))
 
 
 class Lid:
@@ -100,12 +127,17 @@ class Triangles:
 
     def meets_back(self, origins: Vectors, directions: Vectors) -> npt.NDArray[np.bool_]:
         """From Embree's geometric normals of what is met first."""
+        met = self.first_met(origins, directions)
+        along = np.einsum("rc,rc->r", met.facing, directions)
+        return np.asarray((met.triangles >= 0) & (along > 0))
+
+    def first_met(self, origins: Vectors, directions: Vectors) -> Met:
+        """What Embree's intersection query finds; releases the interpreter's lock."""
         hits = self._scene.run(origins, directions, query="INTERSECT", output=True)
-        along = np.einsum("rc,rc->r", np.asarray(hits["Ng"]), directions)
-        return np.asarray((hits["primID"] >= 0) & (along > 0))
+        return Met(*(np.asarray(hits[name]) for name in ("primID", "u", "v", "Ng")))
 
 
-def occlusion(vertices: npt.ArrayLike, triangles: npt.ArrayLike) -> Occlusion:
+def occlusion(vertices: npt.ArrayLike, triangles: npt.ArrayLike) -> Geometry:
     """Embree over ``vertices`` (V, 3) and ``triangles`` (F, 3); the open sky where F is 0."""
     return Triangles(vertices, triangles) if len(np.asarray(triangles)) else Sky()
 

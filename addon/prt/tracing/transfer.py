@@ -19,7 +19,7 @@ from ..job import Settings
 from ..surface.points import Points
 from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
 from .horizon import Horizon
-from .rays import Occlusion
+from .rays import Mask, Occlusion
 
 Array = npt.NDArray[np.float32]
 Index = npt.NDArray[np.int64]
@@ -69,6 +69,15 @@ class Gather(Protocol):
         ...
 
 
+class Look(Protocol):
+    """Looks where rays end, and not only whether they reach the sky."""
+
+    def __call__(self, numbers: Index, first: int, origins: Array, directions: Array) -> Mask:
+        """For the rays of points ``numbers`` (P,), all but the ``first`` ones of each, in a row as
+        ``origins`` and ``directions`` (P * (N - first), 3): CLEAR or BLOCKED, as a sky mask."""
+        ...
+
+
 @dataclass(frozen=True)
 class Shortcuts:
     """What a trace need not find out with rays.
@@ -76,12 +85,14 @@ class Shortcuts:
     ``horizon`` knows directions that nothing can block.  Where ``pilot`` is 2 or more, every
     ``pilot``-th ray of a point is traced first, and a point where all of them are blocked stops.
     ``bits`` (P, N / 8) is the visibility of every ray: read where ``known``, else filled in.
+    ``look`` is shown every ray that is traced, and needs a ``pilot`` of 0.
     """
 
     horizon: Horizon | None = None
     pilot: int = 0
     bits: Bits | None = None
     known: bool = False
+    look: Look | None = None
 
 
 @dataclass(frozen=True)
@@ -218,7 +229,7 @@ class Tracer:
             visible[:, : batch.skipped] = 1
             if batch.skipped < self.rays:
                 visible[:, batch.skipped :] = self._sky(
-                    self._in_world, batch.origins, batch.matrices, batch.skipped
+                    self._in_world, batch.origins, batch.matrices, batch.skipped, batch.numbers
                 )
             counts = Counter({CAST: count * (self.rays - batch.skipped)})
             counts[NOTHING_ABOVE] = count * batch.skipped
@@ -239,14 +250,26 @@ class Tracer:
         stopped = (batch.count - len(alive)) * int((~self._first).sum())
         return Counter({CAST: clear.size + others.size, SEES_NOTHING: stopped})
 
-    def _sky(self, in_world: RaysInWorld, origins: Array, matrices: Array, first: int = 0) -> Array:
-        """1 where the rays (P, N) of P points, but the ``first`` ones, reach the sky, else 0."""
+    def _sky(
+        self,
+        in_world: RaysInWorld,
+        origins: Array,
+        matrices: Array,
+        first: int = 0,
+        numbers: Index | None = None,
+    ) -> Array:
+        """1 where the rays (P, N) of P points, but the ``first`` ones, reach the sky, else 0; where
+        the points' ``numbers`` (P,) are given all of their rays may be looked at."""
         count = in_world.count - first
         starts = self._array("origins", (len(origins) * count, 3))
         directions = self._array("directions", (len(origins) * count, 3))
         in_world.origins(origins, starts, first)
         in_world.directions(matrices, directions, first)
-        mask = self._occlusion.sky_mask(starts, directions)
+        look = self._shortcuts.look
+        if look is None or numbers is None:
+            mask = self._occlusion.sky_mask(starts, directions)
+        else:
+            mask = look(numbers, first, starts, directions)
         return -mask.reshape(len(origins), count).astype(np.float32)
 
     def _array(self, name: str, shape: tuple[int, int]) -> Array:

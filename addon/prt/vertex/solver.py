@@ -23,6 +23,7 @@ from ..tracing.buried import buried, fill, rays_for
 from ..tracing.rays import Occlusion
 from .fit_mesh import interpolated
 from .parts import joined, parts_of
+from .projection import Projection
 from .traced import Array, Mask, Trace, Traced, Tracer, part_of
 from .values import Values, squares
 
@@ -40,11 +41,12 @@ SMOOTH_ERROR = 1.3  # of the points' error: below, a fit to the first samples is
 @dataclass(frozen=True)
 class Solved:
     """``values`` (P, K) of the points; ``entry``, what the report says about them; ``traced``, all
-    places that rays started from."""
+    places that rays started from; ``projection``, how more that is found there is shown."""
 
     values: Array
     entry: dict[str, Any]
     traced: Traced
+    projection: Projection
 
 
 def solve(
@@ -76,13 +78,14 @@ def solve(
     unseen = buried(traced.origins, traced.normals, transfer, occlusion)
     work = Values(points, parts, plans != POINTS, settings.order, noise)
     values, hidden = work.values(traced, unseen)
-    fill(points, receiver, values, hidden)
+    filled, givers = fill(points, receiver, values, hidden)
     entry = {
         "rays": tracer.cast + rays_for(transfer),
         "buried_points": int(hidden.sum()),
         **work.report(traced, unseen, values),
     }
-    return Solved(values, entry, traced)
+    projection = Projection(parts, work, traced, unseen, hidden, filled, givers)
+    return Solved(values, entry, traced, projection)
 
 
 def _pilot(tracer: Tracer, settings: Settings) -> Generator[int, None, None]:

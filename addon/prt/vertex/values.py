@@ -32,9 +32,10 @@ class Values:
     def __init__(
         self, points: Points, parts: Parts, fitted: Mask, order: int, noise: float
     ) -> None:
-        self._parts, self._order, self._noise, self._fitted = parts, order, noise, fitted
+        self._parts, self._order, self._noise, self.fitted = parts, order, noise, fitted
         self._open = sh.open_transfer(points.normals, order).astype(np.float32)
         self._fit_errors = Errors(*np.zeros((3, parts.count)))
+        self.weights: Float = np.ones(parts.count)
 
     def values(self, traced: Traced, unseen: Mask) -> tuple[Array, Mask]:
         """Values (P, K), and the points that are buried, with values of 0."""
@@ -44,9 +45,9 @@ class Values:
         at = traced.point >= 0
         values[traced.point[at]] = traced.values[at]
         hidden[traced.point[at]] = unseen[at]
-        mine = self._fitted[part_of(parts, traced)]
+        mine = self.fitted[part_of(parts, traced)]
         if mine.any():
-            points = self._fitted[parts.of_points]
+            points = self.fitted[parts.of_points]
             values[points] = self._fit(traced[mine & ~unseen])[points]
             places = traced.places
             found = buried_points(parts.mesh, places[mine & ~unseen], places[mine & unseen])
@@ -66,7 +67,7 @@ class Values:
         """What is fitted to, the deviation of ``traced`` from an open sky's transfer that is dimmed
         to what each part sees of it in the mean; and that transfer (P, n²)."""
         parts, columns = self._parts, self._order**2
-        of, areas = part_of(parts, traced), self._areas(traced)
+        of, areas = part_of(parts, traced), self.areas(traced)
         open_here = interpolated(parts.mesh, traced.places, self._open)
         sums = [
             np.bincount(of, areas * np.einsum("sk,sk->s", values, open_here), parts.count)
@@ -84,6 +85,7 @@ class Values:
         samples, dimmed = self._samples(traced)
         transfer = replace(samples, values=samples.values[:, :columns])
         weights, missed = best_weights(mesh, transfer, parts.of_points, parts.count)
+        self.weights = weights
         noise = traced.noisier * np.random.default_rng(0).standard_normal(len(samples.areas))
         columns_and_noise = [samples.values, noise[:, None].astype(np.float32)]
         samples = replace(samples, values=np.concatenate(columns_and_noise, axis=1))
@@ -109,7 +111,7 @@ class Values:
         of_noise = self._noise**2 * size * mean(squares(shown))
         return Errors(size, missed - of_places, of_noise)
 
-    def _areas(self, traced: Traced) -> Float:
+    def areas(self, traced: Traced) -> Float:
         """The area (M,) that each place stands for."""
         parts, of = self._parts, part_of(self._parts, traced)
         density = np.ones(len(parts.mesh.corners))
@@ -130,13 +132,13 @@ class Values:
         areas = self._parts.areas() * np.bincount(of[seen], minlength=count) / looked
 
         def pooled(name: str) -> float:
-            chosen = np.where(self._fitted, *(getattr(e, name) for e in (self._fit_errors, points)))
+            chosen = np.where(self.fitted, *(getattr(e, name) for e in (self._fit_errors, points)))
             return float((areas * chosen).sum())
 
         size = max(pooled("size"), 1e-300)
         of_noise = pooled("noise") / size
         surface = max(of_noise, pooled("surface") / size)
-        fitted = self._fitted[self._parts.of_points]
+        fitted = self.fitted[self._parts.of_points]
         share = float(fitted.mean()) if len(fitted) else 0.0
         squared = float(np.mean(traced.noisier**2)) if len(traced.point) else 0.0
         return {

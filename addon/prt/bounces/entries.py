@@ -1,0 +1,156 @@
+"""Where on the triangles of a scene a ray ends, as one number.
+
+A triangle that is baked has its three corners for entries: a ray that hits it ends at one of them,
+drawn with the probability of its barycentric coordinate, so that on average it finds what is
+interpolated there.  Any other triangle is cut into ``level²`` cells, about as large everywhere, and
+a ray ends in the cell that it hits.  Entry ``e + count`` is the back of what entry ``e`` is the
+front of.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..job import Job
+from ..surface.points import Points, element_triangles
+
+Index = npt.NDArray[np.int64]
+Entry = npt.NDArray[np.int32]
+Array = npt.NDArray[np.float32]
+Float = npt.NDArray[np.float64]
+Keys = npt.NDArray[np.uint64]
+
+CELL = 1 / 24  # of the receivers' extent: the side of a cell
+MOST_ROWS = 128  # of cells in one triangle
+CORNER = 2 / 3  # the place that stands for a corner's share of a triangle: its own coordinate
+MIXERS = np.array([0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
+
+
+@dataclass(frozen=True)
+class Entries:
+    """``first`` (F,) is the first entry of each triangle, ``levels`` (F,) the rows of its cells, 0
+    where its corners are entries, and ``points`` (count,) the points that front entries are: points
+    of all receivers in a row, -1 for the cells."""
+
+    first: Entry
+    levels: Entry
+    points: Entry
+    count: int
+
+    @classmethod
+    def of(cls, job: Job, points: Sequence[Points]) -> "Entries":
+        """The entries of the occluders of ``job``, whose receivers have ``points``."""
+        triangles = np.asarray(job.occluder_triangles)
+        at_corners = _points_at_corners(job, points)
+        baked = (at_corners >= 0).all(axis=1)
+        levels = np.where(baked, 0, _rows_of_cells(job)).astype(np.int32)
+        sizes = np.where(baked, 3, levels.astype(np.int64) ** 2)
+        first = np.concatenate([[0], np.cumsum(sizes)])
+        count = int(first[-1])
+        if 2 * count >= 2**31:
+            levels = np.where(baked, 0, 1).astype(np.int32)
+            first = np.concatenate([[0], np.cumsum(np.where(baked, 3, 1))])
+            count = int(first[-1])
+        of_entries = np.full(count, -1, np.int32)
+        of_entries[first[:-1][baked][:, None] + np.arange(3)] = at_corners[baked]
+        return cls(first[: len(triangles)].astype(np.int32), levels, of_entries, count)
+
+    def drawn(self, triangles: Entry, u: Array, v: Array, random: Array) -> Entry:
+        """The front entries of rays that hit ``triangles`` (R,) at ``u`` and ``v`` (R,), the shares
+        of their second and third corners; ``random`` (R,) in [0, 1) draws the corner."""
+        found = self.first.take(triangles)
+        level = self.levels.take(triangles)
+        corner = (random >= 1 - u - v).astype(np.int32)
+        corner += random >= 1 - v
+        if not level.any():
+            return found + corner
+        return found + np.where(level > 0, _cell(np.maximum(level, 1), u, v), corner)
+
+    def places(self, entries: Index) -> tuple[Index, Float]:
+        """The triangles (E,) and barycentric coordinates (E, 3) in the middle of ``entries``."""
+        front = entries % self.count
+        triangles = np.searchsorted(self.first, front, side="right") - 1
+        within, level = front - self.first[triangles], self.levels[triangles]
+        n = np.maximum(level, 1).astype(np.int64)
+        row = n - np.ceil(np.sqrt(np.maximum(n * n - within, 0))).astype(np.int64)
+        rest = within - row * (2 * n - row)
+        third = (1 + rest % 2) / 3
+        u, v = (row + third) / n, (rest // 2 + third) / n
+        cells = np.stack([1 - u - v, u, v], axis=1)
+        corners = np.full((len(front), 3), (1 - CORNER) / 2)
+        at_corner = level == 0
+        corners[at_corner, within[at_corner]] = CORNER
+        return triangles, np.where(at_corner[:, None], corners, cells)
+
+
+def _cell(level: Entry, u: Array, v: Array) -> Entry:
+    """The cell (R,) of places in triangles of ``level`` (R,) rows: row by row, in each the lower
+    and the upper cells taking turns."""
+    along, across = u * level, v * level
+    row = np.clip(along.astype(np.int32), 0, level - 1)
+    column = np.clip(across.astype(np.int32), 0, level - 1 - row)
+    upper = ((along - row) + (across - column) > 1) & (row + column < level - 1)
+    return np.asarray(row * (2 * level - row) + 2 * column + upper, np.int32)
+
+
+def _rows_of_cells(job: Job) -> Index:
+    """How many rows of cells each occluder triangle (F,) has."""
+    vertices = np.asarray(job.occluder_vertices, np.float64)
+    corners = vertices[np.asarray(job.occluder_triangles)]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.sqrt(np.linalg.norm(cross, axis=1))  # the side of a square of twice its area
+    bounds = [e for r in job.receivers for e in (r.vertices.min(axis=0), r.vertices.max(axis=0))]
+    extent = float(np.ptp(np.array(bounds, np.float64), axis=0).max()) if bounds else 1.0
+    rows = np.ceil(size / max(CELL * extent, 1e-30))
+    return np.clip(rows, 1, MOST_ROWS).astype(np.int64)
+
+
+def _points_at_corners(job: Job, points: Sequence[Points]) -> Index:
+    """For the corners (F, 3) of the occluders' triangles the point of a receiver that they are, -1
+    where the triangle is no receiver's.
+
+    A receiver's triangles are found among the occluders by the places of their corners, which are
+    the same to the last bit: both are read from the same evaluated mesh.
+    """
+    triangles = np.asarray(job.occluder_triangles)
+    at_corners = np.full(triangles.shape, -1, np.int64)
+    if not len(triangles):
+        return at_corners
+    keys, turned = _triangle_keys(_place_keys(job.occluder_vertices)[triangles])
+    order = np.argsort(keys, kind="stable")
+    ordered, before = keys[order], 0
+    for receiver, its in zip(job.receivers, points, strict=True):
+        rows = its.element_points[element_triangles(receiver)].astype(np.int64)
+        mine, my_turned = _triangle_keys(_place_keys(receiver.vertices)[receiver.triangles])
+        found = order[np.minimum(np.searchsorted(ordered, mine), len(order) - 1)]
+        same = (keys[found] == mine) & (rows >= 0).all(axis=1)
+        its_points = np.take_along_axis(rows, my_turned, axis=1)[same] + before
+        at_corners[found[same][:, None], turned[found[same]]] = its_points
+        before += len(its.origins)
+    return at_corners
+
+
+def _place_keys(vertices: npt.NDArray[Any]) -> Keys:
+    """A number (V,) for the place of each of ``vertices`` (V, 3)."""
+    bits = (np.asarray(vertices, np.float32) + np.float32(0)).view(np.uint32)  # 0 is not -0
+    return _mixed(bits.astype(np.uint64).T)
+
+
+def _triangle_keys(corners: Keys) -> tuple[Keys, Index]:
+    """A number (F,) for each triangle whose corners have the numbers ``corners`` (F, 3), whichever
+    of them comes first; and the order (F, 3) of the corners from the one that is first here."""
+    turned = (corners.argmin(axis=1)[:, None] + np.arange(3)) % 3
+    return _mixed(np.take_along_axis(corners, turned, axis=1).T), turned
+
+
+def _mixed(columns: Keys) -> Keys:
+    """One number (N,) for each of ``columns`` (3, N), as splitmix64 does it."""
+    mixed = np.zeros(columns.shape[1], np.uint64)
+    for column in columns:
+        mixed = (mixed ^ column) * MIXERS[0]
+        mixed = (mixed ^ (mixed >> np.uint64(31))) * MIXERS[1]
+        mixed ^= mixed >> np.uint64(29)
+    return mixed

@@ -1,0 +1,248 @@
+"""What the rays of places meet, kept or found again, and sums over it.
+
+Rays are cosine-distributed, so what a place receives from other surfaces is the mean over its rays
+of what leaves the entries that they end at, and nothing where they reach the sky: a gather, with no
+ray of its own.  An entry takes four bytes.
+"""
+
+import threading
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ..tracing.rays import BLOCKED, CLEAR, Geometry, Mask
+from ..tracing.transfer import Look, available_cores
+from .entries import Entries
+
+Array = npt.NDArray[np.float32]
+Index = npt.NDArray[np.int64]
+Entry = npt.NDArray[np.int32]
+
+LIMIT_BYTES = 2 << 30  # of what is kept in a run; beyond, rays are traced again for every bounce
+GATHER = 1 << 15  # hits that are summed at once: what they find stays in the processor's cache
+PLASTIC = 0.7548776662466927  # Roberts' R1: draws corners evenly over the rays of a place
+GOLDEN = 0.6180339887498949
+
+
+@dataclass
+class Chunk:
+    """The hits of places ``numbers`` (P,), as many as ``counts`` (P,) of each in a row, ending at
+    ``entries`` (H,)."""
+
+    numbers: Index
+    counts: Entry
+    entries: Entry
+
+    def sums(self, table: Array, scale: float, out: Array) -> None:
+        """Write ``scale`` times the sums of the rows of ``table`` (E, K) that each place meets into
+        ``out`` (M, K)."""
+        some = np.flatnonzero(self.counts)
+        if not len(some):
+            return
+        starts = (np.cumsum(self.counts) - self.counts)[some]
+        found = table.take(self.entries, axis=0, mode="clip")
+        out[self.numbers[some]] = np.add.reduceat(found, starts, axis=0) * np.float32(scale)
+
+
+class Gathered(Protocol):
+    """Sums over what the rays of some places meet."""
+
+    @property
+    def count(self) -> int:
+        """How many places."""
+        ...
+
+    def entries(self) -> Iterator[tuple[Index, Entry, Entry]]:
+        """Places, their counts of hits and the hits' entries, as long as these are entries."""
+        ...
+
+    def gather(self, table: Array, source_of: Entry, out: Array) -> Generator[int, None, None]:
+        """Fill ``out`` (M, K) with the mean over each place's rays of the rows of ``table`` (S, K)
+        of the sources of their entries; yields the rays that this has cast."""
+        ...
+
+
+class Meeting:
+    """Finds the entries that rays end at; safe to call from several threads."""
+
+    def __init__(self, geometry: Callable[[], Geometry], entries: Entries, seed: int) -> None:
+        self._geometry, self._entries, self._seed = geometry, entries, seed
+
+    def __call__(
+        self, numbers: Index, first: int, origins: Array, directions: Array
+    ) -> tuple[Mask, Chunk]:
+        """As a Look is asked: the mask, and what was hit."""
+        met = self._geometry().first_met(origins, directions)
+        width = len(directions) // max(1, len(numbers))
+        hit = np.flatnonzero(met.triangles >= 0)
+        triangles, towards = met.triangles.take(hit), directions.take(hit, axis=0)
+        place, ray = np.divmod(hit, max(1, width))
+        shift = (numbers * GOLDEN + self._seed * PLASTIC) % 1
+        random = ((ray + first) * PLASTIC + shift.take(place)) % 1
+        u, v = met.u.take(hit), met.v.take(hit)
+        entries = self._entries.drawn(triangles, u, v, random.astype(np.float32))
+        along = np.einsum("rc,rc->r", met.facing.take(hit, axis=0), towards)
+        entries += (along > 0) * np.int32(self._entries.count)
+        counts = np.bincount(place, minlength=len(numbers)).astype(np.int32)
+        mask = np.where(met.triangles >= 0, np.int32(BLOCKED), np.int32(CLEAR))
+        return mask, Chunk(np.array(numbers), counts, entries)
+
+
+class Kept:
+    """Hits of ``count`` places with ``rays`` each, in memory."""
+
+    def __init__(self, count: int, rays: int, threads: int, chunks: list[Chunk]) -> None:
+        self._count, self._rays, self._threads, self._chunks = count, rays, threads, chunks
+        self._translated = False
+
+    @property
+    def count(self) -> int:
+        """See Gathered."""
+        return self._count
+
+    def entries(self) -> Iterator[tuple[Index, Entry, Entry]]:
+        """See Gathered."""
+        return ((chunk.numbers, chunk.counts, chunk.entries) for chunk in self._chunks)
+
+    def gather(self, table: Array, source_of: Entry, out: Array) -> Generator[int, None, None]:
+        """See Gathered.  The first time, sources take the place of the entries."""
+        if not self._translated:
+            for chunk in self._chunks:
+                chunk.entries = source_of.take(chunk.entries)
+            self._translated = True
+        out[:] = 0
+        with ThreadPoolExecutor(self._threads or available_cores()) as pool:
+            pending: set[Future[None]] = {
+                pool.submit(chunk.sums, table, 1 / self._rays, out) for chunk in self._chunks
+            }
+            while pending:
+                done, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
+                for future in done:
+                    future.result()
+                yield 0
+
+
+class Again:
+    """Hits that are found again for each gather: ``trace`` traces ``count`` places once more, with
+    the ``meeting`` that found them first, and yields the rays cast so far."""
+
+    def __init__(
+        self,
+        count: int,
+        rays: int,
+        trace: Callable[[Look], Generator[int, None, None]],
+        meeting: Meeting,
+    ) -> None:
+        self._count, self._rays, self._trace, self._meeting = count, rays, trace, meeting
+
+    @property
+    def count(self) -> int:
+        """See Gathered."""
+        return self._count
+
+    def entries(self) -> Iterator[tuple[Index, Entry, Entry]]:
+        """See Gathered."""
+        found: list[Chunk] = []
+
+        def look(numbers: Index, first: int, origins: Array, directions: Array) -> Mask:
+            mask, chunk = self._meeting(numbers, first, origins, directions)
+            found.append(chunk)
+            return mask
+
+        for _ in self._trace(look):
+            while found:
+                chunk = found.pop()
+                yield chunk.numbers, chunk.counts, chunk.entries
+
+    def gather(self, table: Array, source_of: Entry, out: Array) -> Generator[int, None, None]:
+        """See Gathered."""
+        out[:] = 0
+
+        def look(numbers: Index, first: int, origins: Array, directions: Array) -> Mask:
+            mask, chunk = self._meeting(numbers, first, origins, directions)
+            chunk.entries = source_of.take(chunk.entries)
+            chunk.sums(table, 1 / self._rays, out)
+            return mask
+
+        yield from self._trace(look)
+
+
+class Recorder:
+    """Looks at the rays of ``count`` places and keeps what they meet, as long as ``budget`` holds
+    it."""
+
+    def __init__(self, meeting: Meeting, budget: "Budget") -> None:
+        self._meeting, self._budget = meeting, budget
+        self._chunks: list[Chunk] = []
+        self._lock = threading.Lock()
+        self._kept = True
+
+    def __call__(self, numbers: Index, first: int, origins: Array, directions: Array) -> Mask:
+        """See Look."""
+        mask, chunk = self._meeting(numbers, first, origins, directions)
+        with self._lock:
+            self._kept = self._kept and self._budget.take(chunk.entries.nbytes)
+            if self._kept:
+                self._chunks.append(chunk)
+            else:
+                self._budget.give_back(sum(c.entries.nbytes for c in self._chunks))
+                self._chunks.clear()
+        return mask
+
+    def chunks(self) -> list[Chunk] | None:
+        """All that was met, in the order of the places; None where it was too much."""
+        if not self._kept:
+            return None
+        return sorted(self._chunks, key=lambda chunk: int(chunk.numbers[0]))
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]] | None:
+        """All that was met as arrays named like the fields of a Chunk; None where it was too
+        much."""
+        chunks = self.chunks()
+        return None if chunks is None else vars(joined(chunks))
+
+
+class Budget:
+    """Bytes that may still be kept."""
+
+    def __init__(self, limit: int = LIMIT_BYTES) -> None:
+        self._left = limit
+
+    def take(self, size: int) -> bool:
+        """Whether ``size`` bytes more may be kept."""
+        enough = size <= self._left
+        self._left -= size if enough else 0
+        return enough
+
+    def give_back(self, size: int) -> None:
+        """What was taken is free again."""
+        self._left += size
+
+
+def split(hits: Chunk) -> list[Chunk]:
+    """``hits`` in chunks of about GATHER."""
+    ends = np.cumsum(hits.counts, dtype=np.int64)
+    total = int(ends[-1]) if len(ends) else 0
+    cuts = np.searchsorted(ends, np.arange(GATHER, total, GATHER))
+    cuts = np.unique(np.concatenate([[0], cuts + 1, [len(ends)]]))
+    chunks = []
+    for low, high in pairwise(cuts):
+        before = int(ends[low - 1]) if low else 0
+        rows, its = slice(low, high), slice(before, int(ends[high - 1]))
+        chunks.append(Chunk(hits.numbers[rows], hits.counts[rows], hits.entries[its]))
+    return chunks
+
+
+def joined(chunks: list[Chunk]) -> Chunk:
+    """All of ``chunks`` as one."""
+    none = np.empty(0, np.int32)
+    return Chunk(
+        np.concatenate([np.empty(0, np.int64), *(chunk.numbers for chunk in chunks)]),
+        np.concatenate([none, *(chunk.counts for chunk in chunks)]),
+        np.concatenate([none, *(chunk.entries for chunk in chunks)]),
+    )

@@ -1,0 +1,111 @@
+"""Which rays are looked at, and where what they meet is kept."""
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ..job import Settings
+from ..surface.points import Points
+from ..tracing.rays import Geometry, Occlusion
+from ..tracing.transfer import Counts, Look, Shortcuts, trace_all
+from .entries import Entries
+from .hits import Again, Budget, Chunk, Gathered, Kept, Meeting, Recorder, split
+
+Array = npt.NDArray[np.float32]
+Retrace = Callable[[Look], Generator[int, None, None]]
+
+
+def retrace(
+    places: Points, occlusion: Occlusion, settings: Settings, shortcuts: Shortcuts
+) -> Retrace:
+    """What traces ``places`` again, ray by ray as they were, for someone who looks at the rays."""
+    coarse = replace(settings, order=1)
+
+    def trace(look: Look) -> Generator[int, None, None]:
+        scratch = np.empty((len(places.origins), 1), np.float32)
+        anew = Shortcuts(shortcuts.horizon, look=look)
+        yield from trace_all(places, occlusion, coarse, scratch, shortcuts=anew)
+
+    return trace
+
+
+HITS = ("numbers", "counts", "entries")
+
+
+class Memory(Protocol):
+    """Keeps arrays from one bake to the next, as a tape does."""
+
+    @property
+    def known(self) -> bool:
+        """Whether there is something to be read."""
+        ...
+
+    def recall(self, names: Sequence[str]) -> list[npt.NDArray[Any]]:
+        """The next arrays."""
+        ...
+
+    def keep(self, arrays: Mapping[str, npt.NDArray[Any]] | None) -> None:
+        """Keep the next arrays, None where that is too much."""
+        ...
+
+
+class Trace(Protocol):
+    """Traces places, ``rays`` each; whether what they meet is looked at."""
+
+    def __call__(
+        self, places: Points, rays: int, look: bool
+    ) -> Generator[int, None, tuple[Array, Gathered | None, Counts]]:
+        """Yields the rays cast so far; the value is what was found, (M, K), what was met, and the
+        rays by reason."""
+        ...
+
+
+class Keeper:
+    """Hands out what looks at rays, and takes back what they met."""
+
+    def __init__(
+        self,
+        geometry: Callable[[], Geometry],
+        entries: Entries,
+        seed: int,
+        threads: int,
+        budget: Budget | None = None,
+    ) -> None:
+        self._meeting = Meeting(geometry, entries, seed)
+        self._threads, self._budget = threads, budget or Budget()
+
+    def recorder(self) -> Recorder:
+        """A Look for the rays of some places."""
+        return Recorder(self._meeting, self._budget)
+
+    def taken(self, recorder: Recorder, count: int, rays: int, trace: Retrace) -> Gathered:
+        """What ``recorder`` saw of ``count`` places, which ``trace`` traces again where that was
+        too much to be kept."""
+        chunks = recorder.chunks()
+        if chunks is None:
+            return Again(count, rays, trace, self._meeting)
+        return Kept(count, rays, self._threads, chunks)
+
+    def remembered(self, count: int, rays: int, hits: Chunk) -> Kept:
+        """What was kept of ``count`` places on a tape."""
+        return Kept(count, rays, self._threads, split(hits))
+
+
+def keep(  # noqa: PLR0917 - all of a trace
+    keeper: Keeper,
+    memory: Memory,
+    recorder: Recorder | None,
+    count: int,
+    rays: int,
+    again: Retrace,
+) -> Gathered:
+    """What ``recorder`` saw of ``count`` places, or, where ``memory`` is known, what was seen when
+    it was filled."""
+    if recorder is None:
+        return keeper.remembered(count, rays, Chunk(*memory.recall(HITS)))
+    met = keeper.taken(recorder, count, rays, again)
+    memory.keep(recorder.arrays())
+    return met

@@ -1,0 +1,62 @@
+"""What leaves the entries that rays end at: light that arrived there, times the albedo."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float32]
+Index = npt.NDArray[np.int64]
+Entry = npt.NDArray[np.int32]
+
+COLOURED = 1 / 255  # the largest difference of two channels of an albedo that is still grey
+ALBEDO_STEPS = 1023  # albedos closer than one step are one
+
+
+def channels_of(albedo: Array) -> int:
+    """3 where any of ``albedo`` (F, 3, 3) is coloured, else 1."""
+    spread = np.ptp(albedo, axis=-1) if albedo.size else np.zeros(1)
+    return 3 if float(spread.max()) > COLOURED else 1
+
+
+def entry_albedo(albedo: Array, triangles: Index, barycentric: npt.NDArray[np.float64]) -> Array:
+    """The albedo (E, 1 or 3) of entries whose middles are at ``barycentric`` (E, 3) of
+    ``triangles`` (E,): that of a corner at a corner's entry, interpolated in a cell."""
+    at_corner = barycentric.max(axis=1) > 0.6
+    weights = np.where(at_corner[:, None], barycentric > 0.6, barycentric)
+    found = np.einsum("ek,ekc->ec", weights, albedo[triangles]).clip(0, 1).astype(np.float32)
+    return np.asarray(found if channels_of(albedo) == 3 else found.mean(axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Pairs of a node, which is a place whose light is known, and an albedo there: ``nodes`` (S,),
+    ``albedo`` (S, 1 or 3).  ``of_entries`` (2 count,) is the source of each entry, S where it is
+    black."""
+
+    nodes: Index
+    albedo: Array
+    of_entries: Entry
+
+    @classmethod
+    def of(cls, nodes: Entry, used: Index, albedo: Array) -> "Sources":
+        """Of entries whose nodes are ``nodes`` (2 count,), -1 for none; those ``used`` (U,) have
+        ``albedo`` (U, channels)."""
+        has = nodes[used] >= 0
+        used, albedo = used[has], albedo[has]
+        steps = np.rint(albedo * ALBEDO_STEPS).astype(np.int64)
+        keys = nodes[used].astype(np.int64)
+        for channel in range(albedo.shape[1]):
+            keys = keys * (ALBEDO_STEPS + 1) + steps[:, channel]
+        _, first, number = np.unique(keys, return_index=True, return_inverse=True)
+        of_entries = np.full(len(nodes), len(first), np.int32)
+        of_entries[used] = number.reshape(-1)
+        return cls(nodes[used[first]].astype(np.int64), albedo[first], of_entries)
+
+    def table(self, values: Array, channel: Index) -> Array:
+        """What leaves each source (S + 1, K), and nothing from the last row, where ``values``
+        (nodes, K) arrive: column k is of the colour channel ``channel[k]``."""
+        table = np.zeros((len(self.nodes) + 1, values.shape[1]), np.float32)
+        np.take(values, self.nodes, axis=0, out=table[:-1], mode="clip")
+        table[:-1] *= self.albedo[:, np.minimum(channel, self.albedo.shape[1] - 1)]
+        return table

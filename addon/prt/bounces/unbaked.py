@@ -1,0 +1,78 @@
+"""Places on what rays meet and no receiver is: other objects, and the backs of open sheets.
+
+They are found in rounds.  The rays of the receivers end at some entries; places in the middle of
+those are traced, with fewer rays than a point has, since a ray sees many of them; and the rays of
+these may end at more, which only light that bounces once more needs.
+"""
+
+from collections import Counter
+from collections.abc import Generator
+
+import numpy as np
+import numpy.typing as npt
+
+from ..surface.points import Points, morton_order, surface_bias
+from ..tracing.transfer import Counts
+from .entries import Entries
+from .hits import Gathered
+from .keeper import Trace
+
+Array = npt.NDArray[np.float32]
+Index = npt.NDArray[np.int64]
+Float = npt.NDArray[np.float64]
+
+SHARE, FEWEST = 4, 32  # of a point's rays
+ROUNDS = 6  # what is found only after so many takes part in nothing
+
+
+class Unbaked:
+    """Nodes of entries that are no points of receivers, numbered from ``first_node`` on.
+
+    ``nodes`` (2 count,) are those of every entry, -1 for none; ``values`` and ``gathered`` what was
+    found there and what the rays met, round by round; ``counts``, the rays.
+    """
+
+    nodes: npt.NDArray[np.int32]
+    values: list[Array]
+    gathered: list[Gathered | None]
+    counts: Counts
+
+    def __init__(
+        self, entries: Entries, vertices: Float, triangles: Index, first_node: int
+    ) -> None:
+        self._entries, self._vertices, self._triangles = entries, vertices, triangles
+        self._first_node = first_node
+        nodes = np.full(2 * entries.count, -1, np.int32)
+        nodes[: entries.count] = entries.points
+        self.nodes, self.values, self.gathered, self.counts = nodes, [], [], Counter()
+
+    @property
+    def places(self) -> int:
+        """How many there are."""
+        return sum(map(len, self.values))
+
+    def add(self, used: Index, trace: Trace, rays: int, last: bool) -> Generator[int, None, None]:
+        """Trace places for those of the entries ``used`` (U,) that have no node; where these are
+        the ``last``, what their rays meet is not looked at.  Yields the rays cast so far."""
+        new = used[self.nodes[used] < 0]
+        if not len(new):
+            return
+        points = self._points(new)
+        order = morton_order(points.origins)
+        places = Points(points.origins[order], points.normals[order], points.element_points)
+        few = max(FEWEST, rays // SHARE)
+        values, gathered, counts = yield from trace(places, few, not last)
+        self.nodes[new[order]] = self._first_node + self.places + np.arange(len(new))
+        self.values.append(values)
+        self.gathered.append(gathered)
+        self.counts += counts
+
+    def _points(self, entries: Index) -> Points:
+        """Where the rays of ``entries`` (E,) start, in float32, with geometric normals."""
+        triangles, barycentric = self._entries.places(entries)
+        corners = self._vertices[self._triangles[triangles]].astype(np.float64)
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+        normals[entries >= self._entries.count] *= -1
+        origins = np.einsum("ek,ekc->ec", barycentric, corners) + surface_bias(corners) * normals
+        return Points(origins.astype(np.float32), normals.astype(np.float32), np.empty(0, np.int32))
