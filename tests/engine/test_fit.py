@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapes
+from prt_baker.addon.prt.surface.edges import components
 from prt_baker.addon.prt.surface.points import Surface
 from prt_baker.addon.prt.surface.samples import Places, random_places, starts, stratified_places
 from prt_baker.addon.prt.vertex import fit, fit_mesh
@@ -168,7 +169,7 @@ def test_islands_are_told_apart():
     vertices, triangles = shapes.join(one, two)
     receiver = shapes.receiver(vertices, triangles, np.ones((len(vertices), 3)))
     mesh, _ = mesh_of(receiver)
-    names = fit_mesh.components(mesh.edges, mesh.count)
+    names = components(mesh.edges, mesh.count)
     assert set(names[: len(one[0])]) == {0}
     assert set(names[len(one[0]) :]) == {len(one[0])}
 

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..job import Receiver
+from ..surface.edges import components
 from ..surface.points import Surface, element_triangles
-from ..vertex.fit_mesh import components
 from .cover import Float, Index, Layout
 
 SAME_NORMAL = 1e-3  # a crease turns by more; what Blender packs custom normals into, by less

@@ -205,18 +205,3 @@ def interpolated(mesh: Mesh, places: Places, values: Array) -> Array:
     for k in (1, 2):
         shown += b[:, k : k + 1] * values[corners[:, k]]
     return np.asarray(shown, np.float32)
-
-
-def components(edges: Index, count: int) -> Index:
-    """The lowest point (P,) of each point's connected component."""
-    label = np.arange(count)
-    while True:
-        low = np.minimum(label[edges[:, 0]], label[edges[:, 1]])
-        new = label.copy()
-        np.minimum.at(new, label[edges[:, 0]], low)
-        np.minimum.at(new, label[edges[:, 1]], low)
-        while (new != new[new]).any():
-            new = new[new]
-        if (new == label).all():
-            return label
-        label = new

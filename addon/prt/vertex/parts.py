@@ -6,9 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ..job import Receiver
+from ..surface.edges import components
 from ..surface.points import Float, Index, Points, Surface, element_triangles
 from ..surface.samples import Places
-from .fit_mesh import Mesh, components, mesh_of, unjoined
+from .fit_mesh import Mesh, mesh_of, unjoined
 
 MIN_TRIANGLES = 500  # of a part
 OWN = 2000  # triangles of an island that is a part of its own: it can be judged by itself
