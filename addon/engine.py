@@ -28,6 +28,7 @@ BOOT = (
     "runpy.run_module('prt', run_name='__main__', alter_sys=True)"
 )
 NATIVE_PACKAGES = ("embreex", "OpenEXR")
+FOR_TEXTURES = ("xatlas",)  # a bake to vertices does without
 ONE_BLAS_THREAD = dict.fromkeys(
     (
         "OPENBLAS_NUM_THREADS",
@@ -116,9 +117,11 @@ def _close_pipe(process: subprocess.Popen[bytes]) -> None:
 def _child_path() -> list[str]:
     """This folder, and those of the native packages, found without importing them."""
     folders = [str(Path(__file__).parent)]
-    for package in NATIVE_PACKAGES:
+    for package in (*NATIVE_PACKAGES, *FOR_TEXTURES):
         spec = importlib.util.find_spec(package)
         if spec is None or spec.origin is None:
+            if package in FOR_TEXTURES:
+                continue
             raise BakeError(f"The package {package} is missing: install the extension again")
         origin = Path(spec.origin)
         home = origin.parent.parent if origin.stem == "__init__" else origin.parent

@@ -20,6 +20,7 @@ BLENDER = {"bpy", "bpy_extras", "mathutils"}
 ENGINE = {
     "files": set[str](),
     "surface": set[str](),
+    "atlas": {"surface"},
     "tracing": {"surface"},
     "light": {"files", "surface", "tracing"},
     "vertex": {"surface", "tracing"},

@@ -1,0 +1,1 @@
+"""Where a surface lies in the plane: charts, and the atlas that they are packed into."""

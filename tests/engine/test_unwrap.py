@@ -1,0 +1,185 @@
+"""An atlas holds every triangle once, to scale, and no chart lies near another one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapes
+from prt_baker.addon.prt.atlas import charting, packing, uv_map
+from prt_baker.addon.prt.atlas.overlap import over_any
+from prt_baker.addon.prt.atlas.plane import plane_areas
+from prt_baker.addon.prt.surface.edges import edges_of, welded
+from prt_baker.addon.prt.surface.points import Surface
+from scipy.spatial import cKDTree
+from unwrapping import bumps, charts_of, of_quads, outlines, places, shown_areas, unwrapped
+
+MESHES = {
+    "box": lambda: shapes.receiver(*shapes.box(count=6)),
+    "sphere": lambda: shapes.receiver(*shapes.sphere(24, 48)),
+    "flat sphere of quads": lambda: of_quads(*shapes.sphere(12, 24)[:2]),
+    "knot of quads": lambda: of_quads(*shapes.torus_knot(150, 16)),
+    "bumps of quads": lambda: of_quads(*bumps()),
+}
+
+
+@pytest.fixture(scope="module", params=MESHES)
+def mesh(request):
+    """A receiver, its UVs in 256 x 256 texels, two apart."""
+    receiver = MESHES[request.param]()
+    return receiver, unwrapped(receiver).uvs[0]
+
+
+def test_every_triangle_has_its_area_and_none_lies_over_another(mesh):
+    receiver, uvs = mesh
+    corners = places(receiver, uvs)
+    for chart in charts_of(receiver, uvs):
+        turns = np.sign(plane_areas(corners[chart]))
+        assert (turns == turns[0]).all()  # a chart may be mirrored, but not folded
+        assert turns[0]
+        for k in range(len(chart) - 1):
+            assert not over_any(corners[chart[k : k + 1]], corners[chart[k + 1 :]]).any()
+    assert uv_map.problem(receiver, uvs) is None
+
+
+def test_the_surface_is_sampled_evenly(mesh):
+    receiver, uvs = mesh
+    ratio = shown_areas(places(receiver, uvs)) / Surface.of(receiver).areas
+    low, high = np.quantile(ratio / np.median(ratio), [0.02, 0.98])
+    assert low > 0.6
+    assert high < 1.6
+
+
+@pytest.mark.parametrize("padding", [0, 1, 2, 5, 8])
+def test_charts_stay_apart_and_off_the_border(padding):
+    receiver = of_quads(*shapes.torus_knot(48, 8))
+    atlas = unwrapped(receiver, padding=padding)
+    found = outlines(receiver, atlas.uvs[0], 256)
+    trees = [cKDTree(points) for points in found]
+    nearest = min(trees[k].query(found[m])[0].min() for k in range(len(trees)) for m in range(k))
+    assert nearest >= max(1, padding) - 0.01
+    shown = np.concatenate(found)
+    assert shown.min() >= padding / 2
+    assert shown.max() <= 256 - padding / 2
+
+
+def test_no_chart_crosses_an_edge_that_shading_breaks_at(mesh):
+    receiver, uvs = mesh
+    edges = edges_of(receiver, welded(receiver.vertices))
+    chart = uv_map.charts(receiver, uvs)[edges.triangles]
+    assert (chart[~edges.joined, 0] != chart[~edges.joined, 1]).all()
+
+
+def dart():
+    """A sheet creased along a line that ends in its middle: its two sides are joined around it."""
+    vertices, triangles = shapes.grid([0, 0, 0], [1, 0, 0], [0, 1, 0], 16)
+    vertices[:, 2] = 0.2 * np.maximum(0, 0.6 - vertices[:, 1]) * np.abs(vertices[:, 0] - 0.5)
+    base = shapes.receiver(vertices, triangles)
+    faces, smooth = base.normals.reshape(-1, 3, 3)[:, 0], np.zeros((len(vertices), 3))
+    np.add.at(smooth, triangles.reshape(-1), np.repeat(faces, 3, axis=0))
+    smooth /= np.linalg.norm(smooth, axis=1, keepdims=True)
+    normals = smooth[triangles]
+    creased = (vertices[triangles][..., 0] == 0.5) & (vertices[triangles][..., 1] < 0.55)
+    side = vertices[triangles].mean(axis=1)[:, 0] < 0.5
+    for left in (True, False):
+        chosen = creased & (side == left)[:, None]
+        normals[chosen] = (-0.3 if left else 0.3, 0, 0.954)
+    return replace(base, normals=normals.reshape(-1, 3).astype(np.float32))
+
+
+def test_a_crease_that_ends_within_a_surface_is_cut():
+    receiver = dart()
+    edges = edges_of(receiver, welded(receiver.vertices))
+    assert 0 < (~edges.joined).sum() < 12
+    uvs = unwrapped(receiver).uvs[0]
+    chart = uv_map.charts(receiver, uvs)[edges.triangles]
+    assert (chart[~edges.joined, 0] != chart[~edges.joined, 1]).all()
+    assert len(charts_of(receiver, uvs)) <= 4
+
+
+def test_flat_sides_stay_whole_and_keep_their_shape():
+    receiver = shapes.receiver(*shapes.box(count=30))  # 1,800 triangles a side
+    uvs = unwrapped(receiver).uvs[0]
+    assert len(charts_of(receiver, uvs)) == 6
+    flat, solid = places(receiver, uvs), receiver.vertices[receiver.triangles]
+    sides = [np.linalg.norm(c - c[:, [1, 2, 0]], axis=2) for c in (flat, solid.astype(float))]
+    ratio = sides[0] / sides[1]
+    np.testing.assert_allclose(ratio, ratio.mean(), rtol=0.02)  # whole texels along each side
+
+
+def test_large_meshes_are_cut_and_the_children_share_them():
+    receiver = shapes.receiver(*shapes.torus_knot(500, 16))  # 16,000 triangles
+    uvs = unwrapped(receiver, size=512).uvs[0]
+    sizes = [len(chart) for chart in charts_of(receiver, uvs)]
+    assert max(sizes) <= 2500
+    assert len(sizes) < 80
+    assert shown_areas(places(receiver, uvs)).sum() > 0.4
+
+
+def test_the_same_mesh_gives_the_same_bytes_whatever_the_threads():
+    meshes = [of_quads(*shapes.torus_knot(200, 16)), shapes.receiver(*shapes.box(count=3))]
+    first, second = (unwrapped(*meshes, threads=threads) for threads in (1, 2))
+    assert [u.tobytes() for u in first.uvs] == [u.tobytes() for u in second.uvs]
+
+
+def test_receivers_share_an_atlas_at_one_density():
+    meshes = [shapes.receiver(*shapes.box(2.0, 3)), shapes.receiver(*shapes.box(1.0, 3))]
+    meshes.append(of_quads(*bumps(6)))
+    atlas = unwrapped(*meshes, size=512)
+    areas = [shown_areas(places(m, u)).sum() for m, u in zip(meshes, atlas.uvs, strict=True)]
+    assert areas[0] / areas[1] == pytest.approx(4, rel=0.05)
+    together = np.concatenate([places(m, u) for m, u in zip(meshes, atlas.uvs, strict=True)])
+    assert uv_map.overlap(together) == 0
+
+
+@pytest.mark.parametrize("size", [64, 256, 1024])
+def test_the_atlas_is_as_large_as_asked_for(size):
+    receiver = shapes.receiver(*shapes.box(count=2))
+    atlas = unwrapped(receiver, size=size)
+    assert atlas.size == size
+    assert shown_areas(places(receiver, atlas.uvs[0])).sum() > 0.4  # six squares: at most 2 / 3
+
+
+@pytest.mark.parametrize("density", [5.0, 30.0, 200.0])
+def test_a_density_gives_the_smallest_square_that_holds_it(density):
+    receiver = shapes.receiver(*shapes.box(size=2.0, count=2))
+    atlas = unwrapped(receiver, size=0, density=density)
+    area = shown_areas(places(receiver, atlas.uvs[0])).sum() * atlas.size**2
+    assert (area / 24) ** 0.5 == pytest.approx(density, rel=0.1)
+    assert atlas.size == 2 ** round(np.log2(atlas.size))
+    half = unwrapped(receiver, size=atlas.size // 2).uvs[0]
+    assert shown_areas(places(receiver, half)).sum() * (atlas.size / 2) ** 2 < area
+
+
+def test_very_many_charts_are_packed_in_rows():
+    receiver = of_quads(*shapes.sphere(66, 132)[:2])
+    assert len(receiver.triangles) // 2 > packing.MANY
+    atlas = unwrapped(receiver, size=1024)
+    assert len(charts_of(receiver, atlas.uvs[0])) == len(receiver.triangles) // 2
+    assert uv_map.problem(receiver, atlas.uvs[0]) is None
+    corners = places(receiver, atlas.uvs[0])
+    assert shown_areas(corners).sum() > 0.25
+    found = outlines(receiver, atlas.uvs[0], 1024)
+    chart = np.repeat(np.arange(len(found)), [len(points) for points in found])
+    points = np.concatenate(found)
+    pairs = cKDTree(points).query_pairs(1.98, output_type="ndarray")
+    assert (chart[pairs[:, 0]] == chart[pairs[:, 1]]).all()
+
+
+def test_charts_longer_than_the_atlas_are_cut():
+    x = np.arange(0, 1001.0, 5)
+    vertices = np.concatenate([np.stack([x, x * 0 + y, 0.1 * x], axis=1) for y in (0, 3)])
+    k = np.arange(len(x) - 1)
+    quads = np.stack([k, k + 1, k + 1 + len(x), k + len(x)], axis=1)
+    strip = of_quads(vertices, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
+    uvs = unwrapped(strip, size=256).uvs[0]
+    assert len(charts_of(strip, uvs)) > 1000 / 55
+    assert shown_areas(places(strip, uvs)).sum() > 0.4
+
+
+def test_a_chart_that_xatlas_would_shrink_does_not_fit():
+    corners = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]]) * 100.0
+    charts = charting.Charts(
+        corners.reshape(-1, 2), np.arange(6).reshape(2, 3), np.zeros(2, np.int64)
+    )
+    assert charting.packed(charts, 128, 1.0, 0) is not None
+    assert charting.packed(charts, 128, 2.0, 0) is None
