@@ -28,9 +28,14 @@ def unregister() -> None:
 
 
 def __getattr__(name: str) -> Any:
-    """Blender's glTF exporter asks every enabled add-on's package for this class, by name."""
-    if name != "glTF2ExportUserExtension":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from .addon.gltf import glTF2ExportUserExtension
+    """Blender's glTF exporter and importer ask every enabled add-on's package for these classes,
+    by name."""
+    if name == "glTF2ExportUserExtension":
+        from .addon.gltf import glTF2ExportUserExtension
 
-    return glTF2ExportUserExtension
+        return glTF2ExportUserExtension
+    if name == "glTF2ImportUserExtension":
+        from .addon.gltf_import import glTF2ImportUserExtension
+
+        return glTF2ImportUserExtension
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

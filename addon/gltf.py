@@ -22,13 +22,11 @@ from . import (
     light_state,
     stamp,
 )
+from .gltf_attributes import BASIS, INCLUDES, VERSION
 from .prt import sh
 from .prt.job import Peak
 from .prt.layout import Layout
 
-VERSION = 1
-BASIS = "real orthonormal, no Condon-Shortley, l(l+1)+m"
-INCLUDES = "visibility, cosine / pi"
 TRIANGLES = (None, 4)  # loose edges and points have no corners
 UNMOVED = 1e-5  # of the largest entry of a world matrix
 

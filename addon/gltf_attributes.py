@@ -15,6 +15,10 @@ from .prt.layout import PREFIX
 
 Accessors = dict[str, Any]
 
+VERSION = 1  # of the schema, docs/gltf.md
+BASIS = "real orthonormal, no Condon-Shortley, l(l+1)+m"
+INCLUDES = "visibility, cosine / pi"
+
 FLOAT, SHORT = 5126, 5122
 LARGEST = 32767  # of a normalized SHORT, which stands for 1
 

@@ -29,10 +29,11 @@ def test_the_package_has_no_other_surprises():
     )
 
 
-def test_the_exporter_finds_its_class(scene):
+def test_exporter_and_importer_find_their_classes(scene):
     import prt_baker
 
     assert hasattr(prt_baker, "glTF2ExportUserExtension")
+    assert hasattr(prt_baker, "glTF2ImportUserExtension")
 
 
 INVENTORY = f"""

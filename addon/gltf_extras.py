@@ -1,0 +1,127 @@
+"""What another program may have put into a file's extras: read, checked and turned to Blender's
+frame.  The schema is in docs/gltf.md; errors are sentences."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .gltf_attributes import BASIS, INCLUDES, VERSION
+from .gltf_frame import Y_UP, turn_matrix
+from .light_state import LightState
+from .prt import sh
+from .prt.errors import BakeError
+from .prt.job import LIGHT_ORDER, Peak
+from .prt.layout import Layout
+
+IMAGE_KEY = "glTF"  # no image of this file's
+Float = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FileBake:
+    """``mesh.extras.prt``: ``columns`` (4 k) are the places of the slots of ``layout`` in the
+    file's floats, -1 where unused, ``scale`` (4 k) what the file's floats are multiplied with, and
+    ``matrix`` (3, 3) the world matrix when baked, Z up."""
+
+    layout: Layout
+    columns: tuple[int, ...]
+    scale: Float
+    matrix: Float
+
+    @property
+    def count(self) -> int:
+        """How many attributes the file has."""
+        return len(self.scale) // 4
+
+    def arranged(self, stored: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """The file's floats (E, 4 k) in the order of ``layout``, scaled."""
+        values = (stored * self.scale).astype(np.float32)
+        arranged = values[:, self.columns]
+        arranged[:, np.array(self.columns) < 0] = 0
+        return arranged
+
+
+def read_bake(prt: Any) -> FileBake:
+    """``mesh.extras.prt``; BakeError says what is wrong with it."""
+    _check(isinstance(prt, Mapping), "its extras say nothing of the bake")
+    version, order, channels = prt.get("version"), prt.get("order"), prt.get("channels")
+    _check(version == VERSION, f"its bake has version {version}, and this add-on knows {VERSION}")
+    _check(order in range(1, 6), f"order {order} is none of 1 to 5")
+    _check(channels in {1, 3}, f"{channels} channels are neither 1 nor 3")
+    _check(prt.get("frame") == "world", f'frame "{prt.get("frame")}" is not "world"')
+    _check(prt.get("basis") == BASIS, f'basis "{prt.get("basis")}" is not that of version 1')
+    includes = prt.get("includes")
+    _check(includes == INCLUDES, f'"{includes}" is not what a transfer of version 1 includes')
+    slots = prt.get("layout")
+    named = isinstance(slots, Sequence) and bool(slots) and len(slots) % 4 == 0
+    _check(named and not isinstance(slots, str), "layout is not four names an attribute")
+    layout = _layout(prt, slots)
+    scale = np.ones(len(slots)) if prt.get("scale") == 1 else prt.get("scale")
+    scale = _numbers(scale, (len(slots),), f"scale is neither 1 nor {len(slots)} numbers")
+    matrix = _numbers(prt.get("matrix"), (9,), "matrix is not nine numbers")
+    columns = tuple(slots.index(name) if name else -1 for name in layout.slots)
+    return FileBake(layout, columns, scale, turn_matrix(matrix, Y_UP.T))
+
+
+def _layout(prt: Mapping[str, Any], slots: Sequence[str]) -> Layout:
+    """What ``slots`` hold, all of it or BakeError."""
+    turns = prt.get("turns", int("R0r" in slots))
+    _check(turns in range(25), f"{turns} turns are none of 0 to 24")
+    lights = sum(isinstance(name, str) and name[:1] == "S" for name in slots)
+    layout = Layout(prt["order"], prt["channels"], turns, lights)
+    expected, found = [s for s in layout.slots if s], [s for s in slots if s]
+    for name in expected:
+        _check(name in found, f"layout has no {name}")
+    _check(len(found) == len(expected), "layout has names that its order and channels don't")
+    return layout
+
+
+def read_light(light: Any) -> LightState:
+    """``scene.extras.prt_light``, Z up; BakeError says what is wrong with it."""
+    _check(isinstance(light, Mapping), "the scene has no prt_light in its extras")
+    order = light.get("order")
+    _check(order in range(1, 6), f"the light's order {order} is none of 1 to 5")
+    now, baked = (
+        _coefficients(light.get(name), order, name) for name in ("radiance_sh", "baked_radiance_sh")
+    )
+    lights = light.get("lights", [])
+    _check(isinstance(lights, Sequence) and len(lights) <= 4, "more than four lights are cut out")
+    peaks = tuple(_peak(one) for one in lights)
+    return LightState(IMAGE_KEY, now, now, baked, follows=False, peaks=peaks)
+
+
+def _coefficients(values: Any, order: int, name: str) -> Float:
+    sentence = f"the light's {name} is not {order**2} triples of numbers"
+    padded = np.zeros((LIGHT_ORDER**2, 3))
+    padded[: order**2] = _numbers(values, (order**2, 3), sentence)
+    return sh.rotate(padded, Y_UP.T)
+
+
+def _peak(light: Any) -> Peak:
+    sentence = "a cut-out light of the scene is not whole"
+    _check(isinstance(light, Mapping), sentence)
+    direction = _numbers(light.get("direction"), (3,), sentence)
+    irradiance = _numbers(light.get("irradiance"), (3,), sentence)
+    radius = _numbers(light.get("angular_radius"), (), sentence)
+    _check(bool(np.linalg.norm(direction)), sentence)
+    x, y, z = (Y_UP.T @ (direction / np.linalg.norm(direction))).tolist()
+    r, g, b = irradiance.tolist()
+    return Peak((x, y, z), (r, g, b), float(radius))
+
+
+def _numbers(values: Any, shape: tuple[int, ...], sentence: str) -> Float:
+    """``values`` as finite numbers of ``shape``, or BakeError."""
+    try:
+        array = np.array(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise BakeError(sentence) from error
+    _check(array.shape == shape and bool(np.isfinite(array).all()), sentence)
+    return array
+
+
+def _check(holds: bool, sentence: str) -> None:
+    if not holds:
+        raise BakeError(sentence)
