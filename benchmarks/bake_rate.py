@@ -75,7 +75,8 @@ def main() -> None:
     parser.add_argument("--rays", type=int, default=256)
     asked = parser.parse_args()
     job = knot_job(2200, 48, asked.rays)
-    rays, sky = same_rays(job), occlusion(job.occluder_vertices, job.occluder_triangles)
+    rays = same_rays(job)
+    sky = occlusion(job.occluder_vertices, job.occluder_triangles, len(rays[0]))
     threads = available_cores()
     count = len(rays[0]) / 1e6
     turns = []

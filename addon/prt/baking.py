@@ -57,7 +57,14 @@ class Scene:
     def occlusion(self) -> Geometry:
         """Embree over everything, built when the first ray is cast."""
         with self.meter.phase("acceleration structure"):
-            return occlusion(self.job.occluder_vertices, self.job.occluder_triangles)
+            job = self.job
+            return occlusion(job.occluder_vertices, job.occluder_triangles, self._rays())
+
+    def _rays(self) -> int:
+        """About how many a bake of everything casts that may slip: none whose hits are kept."""
+        settings, points = self.job.settings, sum(len(r.normals) for r in self.job.receivers)
+        is_counted = self.job.kind == "bake" and not settings.bounces
+        return points * settings.rays if is_counted else 0
 
     def keys(self, index: int, points: Points, far: Far | None = None) -> tuple[str, str]:
         """Names of a receiver's result and of its tape; "" for what is not kept.  ``far`` is what

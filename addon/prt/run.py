@@ -108,10 +108,10 @@ def _measure(
     """The measured errors of what ``receiver`` shows."""
     settings = scene.job.settings
     with scene.meter.phase("verify"):
-        walls = _walls(scene)
-        light = None if walls else scene.world.reference(scene.occlusion)
+        walls, occlusion = _walls(scene), scene.occlusion.watertight()
+        light = None if walls else scene.world.reference(occlusion)
         steps = measure(
-            receiver, points, scene.occlusion, settings, traced=traced, light=light, walls=walls
+            receiver, points, occlusion, settings, traced=traced, light=light, walls=walls
         )
         expected = 2 * settings.verify_points * settings.verify_rays
         share = _verify_work(scene.job)

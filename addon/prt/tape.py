@@ -93,6 +93,15 @@ class Remembered:
         """The occlusion's own."""
         return self._build().sky_mask(origins, directions)
 
+    @property
+    def lets_slip(self) -> bool:
+        """As the occlusion's own."""
+        return self._build().lets_slip
+
+    def watertight(self) -> Occlusion:
+        """The occlusion's own."""
+        return self._build().watertight()
+
     def meets_back(self, origins: Vectors, directions: Vectors) -> npt.NDArray[np.bool_]:
         """The occlusion's own, or what it was."""
         found: npt.NDArray[np.bool_] = self._tape.answers(

@@ -62,13 +62,14 @@ def test_missing_normals_are_replaced_by_the_faces():
 
 @pytest.mark.parametrize("place", [(0, 0, 0), (100, -50, 30)])
 @pytest.mark.parametrize("size", [1e-3, 2.0, 1e3])
-def test_nothing_leaks_into_a_closed_box(size, place):
+@pytest.mark.parametrize("fast", [False, True])
+def test_nothing_leaks_into_a_closed_box(size, place, fast):
     """Every vertex of a box lies on edges and in inner corners; none may see the sky."""
     vertices, triangles = shapes.box(size, 8)
     vertices = vertices + np.array(place) * size
     receiver = shapes.receiver(vertices, triangles)
     where = points.distinct_points(receiver)
-    sky = rays.occlusion(receiver.vertices, triangles)
+    sky = rays.Triangles(receiver.vertices, triangles, fast)
     assert np.abs(trace(where, sky, count=256)).max() == 0
 
 

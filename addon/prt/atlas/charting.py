@@ -17,7 +17,9 @@ from .plane import are_flat, cross_products, plane_areas, projected
 
 RASTER = 512  # texels along a piece's side while it is unwrapped
 LONGEST = 8192  # of them along its longest
-SMALL = 1e-8  # of the mean area: xatlas is given a unit in which no triangle, down to here, is small
+SMALL = (
+    1e-8  # of the mean area: xatlas is given a unit in which no triangle, down to here, is small
+)
 
 LARGE = 64  # texels along a chart's side: rounding to whole texels is little there
 SHRUNK = 0.9  # of its area

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from ..tracing.confirm import confirmed
 from ..tracing.rays import Occlusion
 from ..tracing.transfer import MAP_RAYS, NOTHING_ABOVE, Batch, Counts
 from .exact import ExactLight
@@ -79,5 +80,7 @@ def _sees(
     origins = batch.origins[point[traced]]
     if len(origins):
         visible[traced] = -occlusion.sky_mask(origins, directions[traced])
-        counts[MAP_RAYS] += len(origins)
+        again = np.flatnonzero(batch.doubtful[point] & (visible > 0))
+        visible[again] = confirmed(occlusion, batch.origins[point[again]], directions[again])
+        counts[MAP_RAYS] += len(origins) + len(again)
     return visible

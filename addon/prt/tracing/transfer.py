@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from ..job import Settings
 from ..surface.points import Points
+from .confirm import confirmed, doubtful
 from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
 from .horizon import Horizon
 from .rays import Mask, Occlusion
@@ -45,7 +46,8 @@ class Batch:
     """Rays of P points, as a ``Gather`` reads them: the points' ``numbers`` (P,), ``origins`` and
     ``normals`` (P, 3), the world ``directions`` (P, N, 3) of their rays, whose cosines to the
     normal are the same for all, (N,), and which reach the sky, ``visible`` (P, N), 1 or 0.
-    Directions with a cosine above ``open_above`` reach the sky, traced or not."""
+    Directions with a cosine above ``open_above`` reach the sky, traced or not.  A clear ray of the
+    points ``doubtful`` (P,) is to be confirmed."""
 
     numbers: Index
     origins: Array
@@ -54,6 +56,7 @@ class Batch:
     cosines: Array
     visible: Array
     open_above: float
+    doubtful: npt.NDArray[np.bool_]
 
 
 class Gather(Protocol):
@@ -128,6 +131,7 @@ class Tracer:
         random = np.random.default_rng([settings.seed, settings.rays])
         self._azimuth = random.random(len(points.origins)) * (2 * np.pi)
         hemisphere = hemisphere_set(settings.rays, settings.order)
+        self._local = hemisphere.directions
         self._cosines = np.ascontiguousarray(hemisphere.directions[:, 2])
         self._in_world = RaysInWorld(hemisphere.directions)
         self._weights = hemisphere.weights
@@ -217,6 +221,7 @@ class Tracer:
             self._cosines,
             visible[: batch.count],
             float(np.sqrt(1 - batch.skipped / self.rays)) if batch.skipped else 2.0,
+            doubtful(visible[: batch.count], self._occlusion),
         )
 
     def _see(self, batch: _Rows, visible: Array) -> Counts:
@@ -235,6 +240,7 @@ class Tracer:
             counts[NOTHING_ABOVE] = count * batch.skipped
         else:
             counts = self._see_first(batch, visible)
+        counts[CAST] += self._confirm(batch, visible)
         if bits is not None:
             bits[batch.numbers] = np.packbits(visible != 0, axis=1)
         return counts
@@ -249,6 +255,19 @@ class Tracer:
         visible[np.ix_(alive, ~self._first)] = others
         stopped = (batch.count - len(alive)) * int((~self._first).sum())
         return Counter({CAST: clear.size + others.size, SEES_NOTHING: stopped})
+
+    def _confirm(self, batch: _Rows, visible: Array) -> int:
+        """Cast the clear rays again where a single one would show; how many."""
+        points = np.flatnonzero(doubtful(visible, self._occlusion))
+        if not len(points):
+            return 0
+        row, ray = np.nonzero(visible[points])
+        row = points[row]
+        x, y, z = self._local[ray].T[:, :, None]
+        matrices = batch.matrices[row]
+        directions = matrices[:, :, 0] * x + matrices[:, :, 1] * y + matrices[:, :, 2] * z
+        visible[row, ray] = confirmed(self._occlusion, batch.origins[row], directions)
+        return len(row)
 
     def _sky(
         self,

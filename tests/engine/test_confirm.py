@@ -1,0 +1,85 @@
+"""Rays that slip between triangles show nowhere."""
+
+import numpy as np
+import pytest
+import shapes
+from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.surface.points import Points, distinct_points
+from prt_baker.addon.prt.tracing import confirm, rays, transfer
+
+UP = (0.0, 0.0, 1.0)
+
+
+class Leaky:
+    """``inner``, through which every ``period``-th ray slips."""
+
+    lets_slip = True
+
+    def __init__(self, inner, period):
+        self.inner, self.period, self.asked_again = inner, period, 0
+
+    def sky_mask(self, origins, directions):
+        mask = self.inner.sky_mask(origins, directions)
+        mask[:: self.period] = rays.CLEAR
+        return mask
+
+    def watertight(self):
+        self.asked_again += 1
+        return self.inner
+
+
+def transfer_of(occlusion, count, points=16):
+    where = Points(np.zeros((points, 3), np.float32), np.tile(np.float32(UP), (points, 1)), None)
+    out = np.empty((points, 9), np.float32)
+    steps = transfer.trace_all(where, occlusion, Settings(rays=count, threads=1), out)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            return out, stop.value
+
+
+def test_a_point_in_the_dark_stays_dark():
+    leaky = Leaky(rays.Lid(), 100)
+    found, counts = transfer_of(leaky, 256)
+    assert leaky.asked_again
+    assert not found.any()
+    assert counts[transfer.CAST] == 16 * 256 + -(-16 * 256 // 100)
+
+
+def test_in_the_open_nothing_is_asked_again():
+    leaky = Leaky(rays.Sky(), 100)
+    found, counts = transfer_of(leaky, 256)
+    assert not leaky.asked_again
+    assert found.any()
+    assert counts[transfer.CAST] == 16 * 256
+
+
+def test_where_nothing_slips_nothing_is_asked_again():
+    visible = np.zeros((4, 64), np.float32)
+    visible[:, 0] = 1
+    assert not confirm.doubtful(visible, rays.Lid()).any()
+    assert confirm.doubtful(visible, Leaky(rays.Lid(), 1)).all()
+
+
+def test_what_is_seen_through_a_slit_is_kept():
+    """A ray that reaches the sky truly is confirmed."""
+    leaky = Leaky(rays.Sky(), 1)
+    origins = np.zeros((5, 3), np.float32)
+    np.testing.assert_array_equal(confirm.confirmed(leaky, origins, origins + 1), np.ones(5))
+
+
+@pytest.mark.parametrize("expected", [0, 1e9])
+def test_both_modes_see_the_same(expected):
+    receiver, vertices, triangles = shapes.knot_scene(120, 12)
+    where = distinct_points(receiver)
+    occlusion = rays.occlusion(vertices, triangles, expected)
+    assert occlusion.lets_slip == (expected > 0)
+    assert not occlusion.watertight().lets_slip
+    out, reference = np.empty((2, len(where.origins), 9), np.float32)
+    for _ in transfer.trace_all(where, occlusion, Settings(rays=64), out):
+        pass
+    for _ in transfer.trace_all(where, occlusion.watertight(), Settings(rays=64), reference):
+        pass
+    different = np.abs(out - reference).max(axis=1) > 1e-6
+    assert different.mean() < 0.002  # a ray in some millions, at most a point or two
