@@ -16,11 +16,12 @@ from pathlib import Path
 import numpy as np
 from prt_baker.addon import engine
 from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt.parallel import available_cores
 from prt_baker.addon.prt.results import read_results
 from prt_baker.addon.prt.surface.points import distinct_points
 from prt_baker.addon.prt.tracing.hemisphere import RaysInWorld, frames, hemisphere_set
 from prt_baker.addon.prt.tracing.rays import Occlusion, occlusion
-from prt_baker.addon.prt.tracing.transfer import BATCH_RAYS, available_cores
+from prt_baker.addon.prt.tracing.transfer import BATCH_RAYS
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "engine"))
 import shapes

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import peer_ours
 from peers import BakedMesh, Traced, Worker, World
-from prt_baker.addon.prt.tracing.transfer import available_cores
+from prt_baker.addon.prt.parallel import available_cores
 from reference import Reference, reference
 from scenes import BUILDERS, CACHE, SMALL, Scene
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from prt_baker.addon.prt.tracing.transfer import available_cores
+from prt_baker.addon.prt.parallel import available_cores
 
 Array = np.ndarray
 

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.parallel import available_cores
 from prt_baker.addon.prt.tracing.hemisphere import cosine_fibonacci, frames
 from prt_baker.addon.prt.tracing.rays import Occlusion, occlusion
-from prt_baker.addon.prt.tracing.transfer import available_cores, relative_rms
+from prt_baker.addon.prt.tracing.transfer import relative_rms
 from scenes import Scene
 
 Array = np.ndarray

@@ -140,6 +140,7 @@ class Work:
         self._occlusion = Remembered(lambda: scene.occlusion, tape)
         self._counts: Counts = Counter()
         self._before = dict(scene.meter.seconds)
+        scene.world.begin()
         with scene.meter.phase("prepare"):
             horizon = scene.surroundings.horizon(self._receiver, points)
         self._shortcuts = Shortcuts(horizon, known=tape.known)

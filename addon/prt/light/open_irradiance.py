@@ -1,9 +1,9 @@
 """The irradiance of a surface that sees the whole sky above it, as a table over normals.
 
 The map is gathered into clusters, patches of a few degrees, each the vector of its flux times
-direction: what a cluster gives is the vector's component along the normal, exact for all that lies
-on one side of the horizon.  The brightest small patches, whose horizons the table would blur, stay
-out of it and are added normal by normal.
+direction: what a cluster above the horizon gives is the vector's component along the normal, exact
+for all that lies on one side.  The brightest small patches, whose horizons the table would blur,
+stay out of it and are added normal by normal.
 """
 
 import numpy as np
@@ -35,13 +35,12 @@ class OpenIrradiance:
 
     def __init__(self, blocks: Blocks) -> None:
         patches = _patches(blocks)
-        vectors = patches @ LUMINANCE
-        size = np.linalg.norm(vectors, axis=1)
-        bright = np.argsort(size)[-BRIGHT:]
-        divisor = np.where(size > 0, size, 1)[bright, None]
-        self._towards = np.ascontiguousarray((vectors[bright] / divisor).T)
-        self._flux = np.linalg.norm(patches[bright], axis=1)
-        patches[bright] = 0
+        vectors = np.tensordot(LUMINANCE, patches, (0, 1))
+        size = np.sqrt(np.square(vectors).sum(axis=0))
+        bright = np.sort(np.argpartition(size, -BRIGHT)[-BRIGHT:])
+        self._towards = vectors[:, bright] / np.where(size > 0, size, 1)[bright]
+        self._flux = np.sqrt(np.square(patches[:, :, bright]).sum(axis=0)).T
+        patches[:, :, bright] = 0
         self._table = _table(_clusters(patches))
 
     def __call__(self, normals: Float) -> Float:
@@ -64,7 +63,7 @@ class OpenIrradiance:
 
 
 def _patches(blocks: Blocks) -> Float:
-    """Flux times direction (2 PATCHES², 3, 3), axes by channels, of equal patches of the map."""
+    """Flux times direction (3, 3, 2 PATCHES²), axes by channels, of equal patches of the map."""
     sums = np.zeros((3, 3, 2 * PATCHES * PATCHES))
     for directions, weights in blocks.places(PLACES):
         place, lower = on_discs(directions)
@@ -74,14 +73,14 @@ def _patches(blocks: Blocks) -> Float:
             for channel in range(3):
                 moment = directions[:, axis] * weights[:, channel]
                 sums[axis, channel] += np.bincount(found, moment, sums.shape[-1])
-    return np.ascontiguousarray(np.moveaxis(sums, -1, 0))
+    return sums
 
 
 def _clusters(patches: Float) -> Float:
     """Sums (C, 3, 3) of neighbouring ``patches``, without the empty ones."""
     size = PATCHES // CLUSTER
-    joined = patches.reshape(2, size, CLUSTER, size, CLUSTER, 3, 3).sum(axis=(2, 4))
-    joined = joined.reshape(-1, 3, 3)
+    joined = patches.reshape(3, 3, 2 * size, CLUSTER, size, CLUSTER).sum(axis=5).sum(axis=3)
+    joined = np.moveaxis(joined.reshape(3, 3, -1), -1, 0)
     return np.asarray(joined[joined.any(axis=(1, 2))])
 
 
@@ -94,11 +93,14 @@ def _table(clusters: Float) -> Float:
     upper = np.stack([x * rim, y * rim, z], axis=1)
     normals = np.concatenate([upper, upper * [1, 1, -1]]).astype(np.float32)
     unit = max(float(np.abs(clusters).max(initial=0)), np.finfo(np.float64).tiny)
-    vectors = (np.moveaxis(clusters, 0, -1).reshape(3, -1) / unit).astype(np.float32)
+    vectors = (clusters / unit).astype(np.float32)
+    towards = np.ascontiguousarray((vectors @ LUMINANCE.astype(np.float32)).T)
+    moments = vectors.reshape(-1, 9)
     table = np.empty((len(normals), 3))
     for first in range(0, len(normals), NORMALS_AT_ONCE):
-        along = normals[first : first + NORMALS_AT_ONCE] @ vectors
-        np.maximum(along, 0, out=along)
-        table[first : first + NORMALS_AT_ONCE] = along.reshape(len(along), 3, -1).sum(axis=2)
+        some = normals[first : first + NORMALS_AT_ONCE]
+        above = (some @ towards > 0).astype(np.float32)
+        seen = (above @ moments).reshape(-1, 3, 3)
+        table[first : first + NORMALS_AT_ONCE] = np.einsum("nc,nck->nk", some, seen)
     table *= unit
     return table.reshape(2, len(u), len(u), 3)

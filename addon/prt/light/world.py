@@ -1,5 +1,6 @@
 """The light of a job: its coefficients, and what residuals are residuals of."""
 
+from concurrent.futures import Future
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from math import pi
@@ -10,6 +11,7 @@ import numpy.typing as npt
 
 from ..cache import Cache, Entry
 from ..job import Job, LightSource, Peak, light_digest
+from ..parallel import workers
 from ..surface.points import Points
 from ..tracing.rays import Occlusion
 from ..tracing.transfer import trace_all
@@ -67,6 +69,7 @@ class World:
         baked = job.kind == "bake" and self._has_picture
         self.turns = job.settings.turns if baked and job.settings.residual else 0
         self._peaks = job.settings.peaks if baked else 0
+        self._exact: Future[ExactWorld | None] | None = None
         self._name = light_digest(light_of).hex() if light_of and job.settings.cache else ""
 
     @property
@@ -151,9 +154,20 @@ class World:
         count = max(1, self.turns)
         return 2 * pi * np.arange(count) / count
 
-    @cached_property
+    @property
     def exact(self) -> ExactWorld | None:
         """What is gathered; None where nothing is."""
+        return self.begin().result()
+
+    def begin(self) -> Future[ExactWorld | None]:
+        """Start to find ``exact`` beside other work."""
+        if self._exact is None:
+            pool = workers(1)
+            self._exact = pool.submit(self._find_exact)
+            pool.shutdown(wait=False)
+        return self._exact
+
+    def _find_exact(self) -> ExactWorld | None:
         if not self.is_exact or self._source is None:
             return None
         settings, rotation = self._settings, np.asarray(self._source.rotation, np.float64)

@@ -4,11 +4,10 @@ T_i = 1/pi integral V(w) max(n.w, 0) Y_i(w) dw: dot with radiance coefficients g
 radiance of a white surface, so 1/pi is inside and the surface's albedo is not.
 """
 
-import os
 import threading
 from collections import Counter
 from collections.abc import Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -16,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..job import Settings
+from ..parallel import workers
 from ..surface.points import Points
 from .confirm import confirmed, doubtful
 from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
@@ -317,7 +317,7 @@ def trace_all(
     """
     tracer = Tracer(points, occlusion, settings, shortcuts, gather)
     counts: Counts = Counter()
-    pool = ThreadPoolExecutor(settings.threads or available_cores())
+    pool = workers(settings.threads)
     try:
         pending: set[Future[Counts]] = {
             pool.submit(tracer.trace, part, out) for part in tracer.parts()
@@ -330,11 +330,6 @@ def trace_all(
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
     return counts
-
-
-def available_cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def estimate_error(

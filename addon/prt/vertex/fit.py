@@ -7,12 +7,14 @@ singular, and noise in it; so the jump of the gradient across every edge is held
 weight that predicts samples which were left out best.
 """
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ..parallel import workers
 from ..surface.points import Float, Index
 from ..surface.samples import Places
 from .fit_mesh import (
@@ -30,7 +32,7 @@ from .fit_mesh import (
 ANCHOR = 1e-6  # of the diagonal: holds what neither a sample nor an edge holds
 ROUGHLY, TOLERANCE = 1e-3, 3e-4  # of the norm of the right side, every row over its diagonal
 STEPS = 60
-ROWS = 8192  # in one block of a product: it stays in the processor's cache
+ROWS = 4096  # in one block of a step: it stays in the processor's cache
 WEIGHTS = (3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003)  # of the gradient's jumps
 LEFT_OUT = 5  # every fifth sample tests a weight
 STRETCHES, STRETCH = 12, 2048  # points that choose the weights of a large mesh
@@ -40,7 +42,8 @@ class System:
     """A symmetric matrix over the points of a mesh: rows with the most entries first, so that the
     k-th entries of all rows that have one are a slice."""
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, threads: int = 0) -> None:
+        self._threads = threads
         pairs = np.concatenate([mesh.edges, mesh.hinges[:, 2:]])
         rows = np.concatenate([pairs[:, 0], pairs[:, 1]])
         entry = np.tile(np.arange(len(pairs)), 2)
@@ -55,7 +58,7 @@ class System:
         slots = [by_row[starts[:n] + k] for k, n in enumerate(filled)]
         self._columns = [rank[columns[slot]] for slot in slots]
         self._entries = [entry[slot] for slot in slots]
-        self._diagonal, self._values = np.empty(0, np.float32), list[Array]()
+        self.diagonal, self._values = np.empty(0, np.float32), list[Array]()
 
     def set(self, form: Quadratic, extra: Quadratic) -> None:
         """Make it the matrix of ``form`` plus ``extra``, with a little more on the diagonal."""
@@ -63,53 +66,103 @@ class System:
         values = values.astype(np.float32)
         diagonal = (form.diagonal + extra.diagonal)[self.order]
         self.anchor = np.maximum(ANCHOR * diagonal, 1e-30).astype(np.float32)[:, None]
-        self._diagonal = diagonal.astype(np.float32)[:, None] + self.anchor
+        self.diagonal = diagonal.astype(np.float32)[:, None] + self.anchor
         self._values = [values[entries][:, None] for entries in self._entries]
 
-    def product(self, x: Array) -> Array:
-        """The matrix times ``x`` (P, K), both in the order of the rows."""
-        out = self._diagonal * x
-        buffer = np.empty((min(ROWS, len(x)), x.shape[1]), np.float32)
-        for start in range(0, len(x), ROWS):
-            for columns, values in zip(self._columns, self._values, strict=True):
-                stop = min(start + ROWS, len(columns))
-                if stop <= start:
-                    break
-                some = buffer[: stop - start]
-                np.take(x, columns[start:stop], axis=0, out=some, mode="clip")
-                some *= values[start:stop]
-                out[start:stop] += some
+    def product(self, x: Array, rows: slice) -> Array:
+        """Some ``rows`` of the matrix times ``x`` (P, K), in the order of the rows."""
+        out = self.diagonal[rows] * x[rows]
+        for columns, values in zip(self._columns, self._values, strict=True):
+            stop = min(rows.stop, len(columns))
+            if stop <= rows.start:
+                break
+            some = x.take(columns[rows.start : stop], axis=0, mode="clip")
+            some *= values[rows.start : stop]
+            out[: stop - rows.start] += some
         return out
 
     def solve(self, right: Array, guess: Array, tolerance: float = TOLERANCE) -> Array:
         """The x (P, K) that this matrix takes to ``right`` plus the anchor at ``guess``, both in
         the order of the points; conjugate gradients, each column for itself."""
-        right, x = right[self.order], guess[self.order]
-        residual: Array = right + self.anchor * x
-        size = _dot(residual, residual / self._diagonal)
-        residual -= self.product(x)
-        scaled = residual / self._diagonal
-        towards, energy = scaled, _dot(residual, scaled)
-        for _ in range(STEPS):
-            if (energy <= tolerance**2 * size).all():
-                break
-            image = self.product(towards)
-            curvature = _dot(towards, image)
-            length = _ratio(energy, curvature)
-            x += length * towards
-            residual -= length * image
-            scaled = residual / self._diagonal
-            before, energy = energy, _dot(residual, scaled)
-            towards *= _ratio(energy, before)
-            towards += scaled
-        out = np.empty_like(x)
-        out[self.order] = x
+        with workers(self._threads) as pool:
+            steps = _Gradients(self, right[self.order], guess[self.order], pool)
+            energy = steps.start()
+            for _ in range(STEPS):
+                if (energy <= tolerance**2 * steps.size).all():
+                    break
+                energy = steps.go(energy)
+        out = np.empty_like(steps.x)
+        out[self.order] = steps.x
         return out
 
 
-def _dot(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> Float:
-    """Products (K,) of the columns."""
-    return np.asarray((a * b).sum(axis=0, dtype=np.float64))
+class _Gradients:
+    """Conjugate gradients for ``system``, preconditioned by its diagonal.
+
+    Every step goes through the rows block by block, in threads: a block's arrays stay in the
+    processor's cache, and its part of a sum is the same in any company.
+    """
+
+    def __init__(
+        self, system: System, right: Array, guess: Array, pool: ThreadPoolExecutor
+    ) -> None:
+        self._system, self._pool = system, pool
+        self.x, self._residual = guess, right + system.anchor * guess
+        self._towards, self._image = np.empty_like(right), np.empty_like(right)
+        self._blocks = [slice(i, min(i + ROWS, len(right))) for i in range(0, len(right), ROWS)]
+        self.size = np.zeros(right.shape[1])
+        self._length: Array = np.zeros(right.shape[1], np.float32)
+        self._keep = self._length
+
+    def start(self) -> Float:
+        """The energy (K,) of what is missing at first; ``size``, of all that is asked for."""
+        self.size = self._sum(self._sizes)
+        return self._sum(self._first)
+
+    def go(self, energy: Float) -> Float:
+        """One step; the energy that is then left."""
+        self._length = _ratio(energy, self._sum(self._curvature))
+        left = self._sum(self._descend)
+        self._keep = _ratio(left, energy)
+        self._sum(self._turn)
+        return left
+
+    def _sum(self, step: Callable[[slice], Float]) -> Float:
+        return np.asarray(sum(self._pool.map(step, self._blocks), np.zeros(len(self.size))))
+
+    def _scaled(self, rows: slice) -> Array:
+        return np.asarray(self._residual[rows] / self._system.diagonal[rows], np.float32)
+
+    def _sizes(self, rows: slice) -> Float:
+        return _dot(self._residual[rows], self._scaled(rows))
+
+    def _first(self, rows: slice) -> Float:
+        self._residual[rows] -= self._system.product(self.x, rows)
+        self._towards[rows] = self._scaled(rows)
+        return _dot(self._residual[rows], self._towards[rows])
+
+    def _curvature(self, rows: slice) -> Float:
+        self._image[rows] = self._system.product(self._towards, rows)
+        return _dot(self._towards[rows], self._image[rows])
+
+    def _descend(self, rows: slice) -> Float:
+        self.x[rows] += self._length * self._towards[rows]
+        self._residual[rows] -= self._length * self._image[rows]
+        return _dot(self._residual[rows], self._scaled(rows))
+
+    def _turn(self, rows: slice) -> Float:
+        self._towards[rows] *= self._keep
+        self._towards[rows] += self._scaled(rows)
+        return np.zeros(len(self.size))
+
+
+def _dot(a: Array, b: Array) -> Float:
+    """Products (K,) of the columns; eight rows are summed as one, which numpy does faster."""
+    product, columns = a * b, a.shape[1]
+    whole = len(a) // 8 * 8
+    sums = product[:whole].reshape(-1, 8 * columns).sum(axis=0).reshape(8, columns)
+    rest = product[whole:].sum(axis=0, dtype=np.float64)
+    return np.asarray(sums.sum(axis=0, dtype=np.float64) + rest)
 
 
 def _ratio(a: Float, b: Float) -> Array:
@@ -138,9 +191,9 @@ class Fit:
     """Fits of values at the points of a ``mesh``, whose points lie in ``parts`` (P,), numbered
     below ``count``; each part has its own weight of the gradient's jumps."""
 
-    def __init__(self, mesh: Mesh, parts: Index, count: int) -> None:
+    def __init__(self, mesh: Mesh, parts: Index, count: int, threads: int = 0) -> None:
         self._mesh, self._parts, self._count = mesh, parts, count
-        self._system = System(mesh)
+        self._system = System(mesh, threads)
 
     def solve(self, samples: Samples, weights: Float) -> Array:
         """Values (P, K) at the points that fit those of the samples, with each part's weight."""
@@ -198,7 +251,9 @@ def best_weights(
     samples: Samples,
     parts: Index,
     count: int,
+    *,
     weights: tuple[float, ...] = WEIGHTS,
+    threads: int = 0,
 ) -> tuple[Float, Float]:
     """For each part the weight of the jumps that predicts samples left out best, and the mean
     square of what it then misses.  A large mesh is judged by some stretches of its points, which
@@ -211,4 +266,4 @@ def best_weights(
         samples = samples[inside[samples.places.triangles]]
         places = Places(number[samples.places.triangles], samples.places.barycentric)
         samples = replace(samples, places=places)
-    return Fit(mesh, parts, count).judged(samples, weights)
+    return Fit(mesh, parts, count, threads).judged(samples, weights)

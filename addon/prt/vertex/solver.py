@@ -70,13 +70,13 @@ def solve(
     first = plans == BOTH
     if first.any():
         yield from _first(tracer, first, settings.seed + 1)
-        trial = Values(points, parts, first, settings.order, noise)
+        trial = Values(points, parts, first, settings, noise)
         plans[_smooth(tracer, trial, first, noise**2 * (ratios + 0.5))] = SMOOTH
     yield from _main(tracer, plans, settings.seed + 2)
     traced = tracer.traced
     transfer = traced.values[:, : settings.order**2]
     unseen = buried(traced.origins, traced.normals, transfer, occlusion)
-    work = Values(points, parts, plans != POINTS, settings.order, noise)
+    work = Values(points, parts, plans != POINTS, settings, noise)
     values, hidden = work.values(traced, unseen)
     filled, givers = fill(points, receiver, values, hidden)
     entry = {

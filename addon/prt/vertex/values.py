@@ -7,8 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import sh
+from ..job import Settings
 from ..surface.points import Float, Points
-from .fit import Fit, Samples, best_weights
+from .fit import WEIGHTS, Fit, Samples, best_weights
 from .fit_mesh import interpolated
 from .parts import Parts, buried_points
 from .traced import Array, Mask, Traced, part_of
@@ -30,10 +31,11 @@ class Values:
     """Turns what was traced into values of the points."""
 
     def __init__(
-        self, points: Points, parts: Parts, fitted: Mask, order: int, noise: float
+        self, points: Points, parts: Parts, fitted: Mask, settings: Settings, noise: float
     ) -> None:
-        self._parts, self._order, self._noise, self.fitted = parts, order, noise, fitted
-        self._open = sh.open_transfer(points.normals, order).astype(np.float32)
+        self._parts, self._noise, self.fitted = parts, noise, fitted
+        self._order, self._threads = settings.order, settings.threads
+        self._open = sh.open_transfer(points.normals, self._order).astype(np.float32)
         self._fit_errors = Errors(*np.zeros((3, parts.count)))
         self.weights: Float = np.ones(parts.count)
 
@@ -59,9 +61,16 @@ class Values:
         """What a fit to ``traced`` misses where samples are left out, without their own noise."""
         samples, _ = self._samples(traced)
         transfer = replace(samples, values=samples.values[:, : self._order**2])
-        mesh, parts = self._parts.mesh, self._parts
-        _, missed = best_weights(mesh, transfer, parts.of_points, parts.count, TRIAL)
-        return self._errors(traced, samples, missed, np.zeros((mesh.count, 1), np.float32))
+        _, missed = self._best_weights(transfer, TRIAL)
+        nothing = np.zeros((self._parts.mesh.count, 1), np.float32)
+        return self._errors(traced, samples, missed, nothing)
+
+    def _best_weights(
+        self, samples: Samples, weights: tuple[float, ...] = WEIGHTS
+    ) -> tuple[Float, Float]:
+        parts = self._parts
+        of, count, threads = parts.of_points, parts.count, self._threads
+        return best_weights(parts.mesh, samples, of, count, weights=weights, threads=threads)
 
     def _samples(self, traced: Traced) -> tuple[Samples, Array]:
         """What is fitted to, the deviation of ``traced`` from an open sky's transfer that is dimmed
@@ -84,12 +93,13 @@ class Values:
         mesh, parts, columns = self._parts.mesh, self._parts, self._order**2
         samples, dimmed = self._samples(traced)
         transfer = replace(samples, values=samples.values[:, :columns])
-        weights, missed = best_weights(mesh, transfer, parts.of_points, parts.count)
+        weights, missed = self._best_weights(transfer)
         self.weights = weights
         noise = traced.noisier * np.random.default_rng(0).standard_normal(len(samples.areas))
         columns_and_noise = [samples.values, noise[:, None].astype(np.float32)]
         samples = replace(samples, values=np.concatenate(columns_and_noise, axis=1))
-        values = Fit(mesh, parts.of_points, parts.count).solve(samples, weights)
+        fit = Fit(mesh, parts.of_points, parts.count, self._threads)
+        values = fit.solve(samples, weights)
         self._fit_errors = self._errors(traced, samples, missed, values[:, -1:])
         values[:, :columns] += dimmed
         values[:, 0] = np.maximum(values[:, 0], 0)
