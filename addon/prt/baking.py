@@ -20,8 +20,8 @@ from .meter import Meter
 from .results import RESULT_ARRAYS, ReceiverResult
 from .surface.points import Points, distinct_points
 from .tape import Remembered, Tape
-from .tracing.horizon import Surroundings
 from .tracing.rays import Geometry, occlusion
+from .tracing.surroundings import Surroundings
 from .tracing.tolerance import FALL, Effort, effort
 from .tracing.transfer import CAST, MAP_RAYS, Counts, Shortcuts, estimate_error, trace_all
 from .vertex.solver import Solved, solve

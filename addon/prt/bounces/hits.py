@@ -7,7 +7,7 @@ ray of its own.  An entry takes four bytes.
 
 import threading
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
@@ -15,8 +15,9 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from ..parallel import workers
 from ..tracing.rays import BLOCKED, CLEAR, Geometry, Mask
-from ..tracing.transfer import Look, available_cores
+from ..tracing.transfer import Look
 from .entries import Entries
 
 Array = npt.NDArray[np.float32]
@@ -116,7 +117,7 @@ class Kept:
                 chunk.entries = source_of.take(chunk.entries)
             self._translated = True
         out[:] = 0
-        with ThreadPoolExecutor(self._threads or available_cores()) as pool:
+        with workers(self._threads) as pool:
             pending: set[Future[None]] = {
                 pool.submit(chunk.sums, table, 1 / self._rays, out) for chunk in self._chunks
             }

@@ -20,6 +20,7 @@ from ..surface.points import Points
 from .confirm import confirmed, doubtful
 from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
 from .horizon import Horizon
+from .open_rays import OpenRays, turns
 from .rays import Mask, Occlusion
 
 Array = npt.NDArray[np.float32]
@@ -27,10 +28,8 @@ Index = npt.NDArray[np.int64]
 Bits = npt.NDArray[np.uint8]
 Counts = Counter[str]
 
-COARSE = 4  # groups that are looked at together before each is
 BATCH_RAYS = 32768
 PART_RAYS = 1 << 19
-STEPS = 32  # of the rays that a horizon can save
 PILOT_POINTS = 1024
 ERROR_OF_DIFFERENCE = 0.325  # of |T(N) - T(N/4)|, pooled: within 10 % of the true error of T(N)
 
@@ -102,7 +101,7 @@ class Shortcuts:
 class _Rows:
     """Some groups of points: ``rows`` of their part, of which the first ``count`` are points, with
     ``numbers``, ``origins`` and the ``matrices`` of their frames; how many of their first
-    directions are open."""
+    directions are open, and what else is ``known`` of them."""
 
     rows: Index
     count: int
@@ -110,6 +109,7 @@ class _Rows:
     origins: Array
     matrices: Array
     skipped: int
+    known: OpenRays
 
 
 class Tracer:
@@ -130,8 +130,10 @@ class Tracer:
         self.points, self.rays, self._occlusion = points, settings.rays, occlusion
         random = np.random.default_rng([settings.seed, settings.rays])
         self._azimuth = random.random(len(points.origins)) * (2 * np.pi)
+        self._azimuth_turns = turns(self._azimuth)
         hemisphere = hemisphere_set(settings.rays, settings.order)
         self._local = hemisphere.directions
+        self._direction_turns = turns(np.arctan2(self._local[:, 1], self._local[:, 0]))
         self._cosines = np.ascontiguousarray(hemisphere.directions[:, 2])
         self._in_world = RaysInWorld(hemisphere.directions)
         self._weights = hemisphere.weights
@@ -146,7 +148,7 @@ class Tracer:
 
     def parts(self) -> Iterator[slice]:
         """Slices of the points, each of some groups."""
-        size = GROUP * max(COARSE, min(128, PART_RAYS // (GROUP * self.rays)))
+        size = GROUP * max(4, min(128, PART_RAYS // (GROUP * self.rays)))
         count = len(self.points.origins)
         return (slice(i, min(i + size, count)) for i in range(0, count, size))
 
@@ -157,44 +159,26 @@ class Tracer:
         matrices = local.matrices()
         sums = np.empty((-(-count // GROUP) * GROUP, self._weights.shape[1]), np.float32)
         counts: Counts = Counter()
-        for skipped, rows in self._batches(part):
+        known = OpenRays(self._shortcuts.horizon, self.points, part, self.rays)
+        for first, rows in self._batches(known):
             numbers = part.start + rows[rows < count]
             origins, frames_of = self.points.origins[numbers], matrices[numbers - part.start]
-            batch = _Rows(rows, len(numbers), numbers, origins, frames_of, skipped)
+            batch = _Rows(rows, len(numbers), numbers, origins, frames_of, first, known)
             counts += self._trace_batch(batch, sums, out)
         out[part, : sums.shape[1]] = self._turn(local, sums[:count])
         return counts
 
-    def _batches(self, part: slice) -> Iterator[tuple[int, Index]]:
+    def _batches(self, known: OpenRays) -> Iterator[tuple[int, Index]]:
         """Rows of the part, whole groups, whose first rays, as many as said, need no tracing."""
-        skips = self._open_rays(part)
-        for skipped in np.unique(skips):
-            groups = np.flatnonzero(skips == skipped)
-            size = max(1, BATCH_RAYS // (GROUP * max(1, self.rays - int(skipped))))
+        keys = known.keys()
+        for key in np.unique(keys):
+            groups = np.flatnonzero(keys == key)
+            first = int(known.firsts[groups[0]])
+            size = max(1, BATCH_RAYS // (GROUP * max(1, self.rays - first)))
             size = min(size, 16 * max(1, BATCH_RAYS // (GROUP * self.rays)))
             for start in range(0, len(groups), size):
                 some = groups[start : start + size]
-                yield int(skipped), (some[:, None] * GROUP + np.arange(GROUP)).reshape(-1)
-
-    def _open_rays(self, part: slice) -> Index:
-        """How many of the first directions of each group reach the sky for certain."""
-        starts = np.arange(part.start, part.stop, GROUP)
-        horizon = self._shortcuts.horizon
-        if horizon is None:
-            return np.zeros(len(starts), np.int64)
-        share = np.repeat(self._share(horizon, starts[::COARSE], GROUP * COARSE), COARSE)
-        share = share[: len(starts)]
-        near = np.flatnonzero(share < 1 - 1 / STEPS)
-        share[near] = self._share(horizon, starts[near], GROUP)
-        steps = np.floor(np.minimum(share + 1e-9, 1) * STEPS).astype(np.int64)
-        return steps * self.rays // STEPS
-
-    def _share(self, horizon: Horizon, starts: Index, size: int) -> npt.NDArray[np.float64]:
-        """The open share of ``size`` points from each of ``starts``."""
-        if not len(starts):
-            return np.zeros(0)
-        rows = np.minimum(starts[:, None] + np.arange(size), len(self.points.origins) - 1)
-        return horizon.open_share(self.points.origins[rows], self.points.normals[rows])
+                yield first, (some[:, None] * GROUP + np.arange(GROUP)).reshape(-1)
 
     def _trace_batch(self, batch: _Rows, sums: Array, out: Array) -> Counts:
         """Local coefficients of a batch into ``sums``, what is gathered into ``out``."""
@@ -232,18 +216,36 @@ class Tracer:
             return Counter({KNOWN: count * self.rays})
         if batch.skipped or self._shortcuts.pilot < 2:
             visible[:, : batch.skipped] = 1
-            if batch.skipped < self.rays:
-                visible[:, batch.skipped :] = self._sky(
-                    self._in_world, batch.origins, batch.matrices, batch.skipped, batch.numbers
-                )
-            counts = Counter({CAST: count * (self.rays - batch.skipped)})
-            counts[NOTHING_ABOVE] = count * batch.skipped
+            cast = self._see_others(batch, visible[:, batch.skipped :])
+            counts = Counter({CAST: cast, NOTHING_ABOVE: count * self.rays - cast})
         else:
             counts = self._see_first(batch, visible)
         counts[CAST] += self._confirm(batch, visible)
         if bits is not None:
             bits[batch.numbers] = np.packbits(visible != 0, axis=1)
         return counts
+
+    def _see_others(self, batch: _Rows, visible: Array) -> int:
+        """Those after the first that need no tracing, ``visible`` (P, N - skipped); rays cast."""
+        first = batch.skipped
+        if first == self.rays:
+            return 0
+        looked_at = self._shortcuts.look is not None
+        if looked_at or not batch.known.pays(int(batch.rows[0]) // GROUP):
+            visible[:] = self._sky(
+                self._in_world, batch.origins, batch.matrices, first, batch.numbers
+            )
+            return visible.size
+        azimuth = self._azimuth_turns[batch.numbers]
+        is_open = batch.known.mask(batch.rows[: batch.count], self._direction_turns, azimuth, first)
+        visible[:] = is_open
+        rest = np.flatnonzero(~is_open)
+        point = rest // is_open.shape[1]
+        directions = self._array("directions", (is_open.size, 3))
+        self._in_world.directions(batch.matrices, directions, first)
+        mask = self._occlusion.sky_mask(batch.origins.take(point, 0), directions.take(rest, 0))
+        visible[np.unravel_index(rest, visible.shape)] = -mask
+        return len(rest)
 
     def _see_first(self, batch: _Rows, visible: Array) -> Counts:
         """The first rays, and the others of the points where one of them is clear."""

@@ -1,0 +1,109 @@
+"""Triangles in clusters, each bounded by a short cylinder about its mean normal: flat ground then
+stays flat, however it is turned, and does not rise above itself.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Float = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+CLUSTERS = 1024
+CELLS = 27  # along each axis: a cluster lies in one cell
+CHUNK = 1 << 18  # triangles
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """Bounds of C groups of triangles: ``centres`` and unit ``axes`` (C, 3); the extents ``low``
+    and ``high`` (C,) along the axis and ``across`` (C,) about it, ``radius`` (C,) about the centre;
+    and ``parts`` (C,), the occluder that each is of."""
+
+    centres: Float
+    axes: Float
+    low: Float
+    high: Float
+    across: Float
+    radius: Float
+    parts: Index
+
+    @classmethod
+    def of(
+        cls, vertices: npt.ArrayLike, triangles: npt.ArrayLike, part_starts: npt.ArrayLike
+    ) -> "Clusters":
+        """Clusters of ``triangles`` (F, 3) of ``vertices`` (V, 3); part k of them is from
+        ``part_starts[k]`` up to the next."""
+        places, corners = np.asarray(vertices), np.asarray(triangles)
+        keys = _keys(places, corners)
+        order = np.argsort(keys, kind="stable")  # a radix sort of 16 bits
+        part_of = np.searchsorted(np.asarray(part_starts), order, side="right") - 1
+        starts = _starts(keys[order], part_of, -(-len(corners) // CLUSTERS))
+        cuts = starts[np.searchsorted(starts, np.arange(0, len(corners), CHUNK))]
+        parts = []
+        for low, high in zip(cuts, [*cuts[1:], len(corners)], strict=True):
+            inside = starts[(starts >= low) & (starts < high)] - low
+            its_corners = places[corners[order[low:high]]].astype(np.float64)
+            parts.append(_bounds(its_corners, inside))
+        columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+        centres, axes, low, high, across, radius = columns
+        return cls(centres, axes, low, high, across, radius, part_of[starts])
+
+    def __getitem__(self, kept: npt.NDArray[np.bool_]) -> "Clusters":
+        return Clusters(*(values[kept] for values in vars(self).values()))
+
+    def without(self, parts: npt.ArrayLike) -> "Clusters":
+        """The clusters of all other parts."""
+        return self[~np.isin(self.parts, parts)]
+
+
+def _keys(
+    vertices: npt.NDArray[np.floating], triangles: npt.NDArray[np.int32]
+) -> npt.NDArray[np.uint16]:
+    """For each triangle the cell of a grid that its first corner lies in and the side that it
+    faces, so that what stands on a floor is not gathered with it."""
+    low = vertices.min(axis=0)
+    extent = max(float((vertices.max(axis=0) - low).max()), 1e-30)
+    keys = np.empty(len(triangles), np.uint16)
+    for start in range(0, len(triangles), CHUNK):
+        corners = vertices[triangles[start : start + CHUNK]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        cell = ((corners[:, 0] - low) * (CELLS / extent)).clip(0, CELLS - 1).astype(np.int64)
+        places = (cell[:, 0] * CELLS + cell[:, 1]) * CELLS + cell[:, 2]
+        keys[start : start + CHUNK] = places * 3 + np.abs(normals).argmax(axis=1)
+    return keys
+
+
+def _starts(keys: npt.NDArray[np.uint16], part_of: Index, size: int) -> Index:
+    """Where clusters start among triangles that are sorted by ``keys``: at every new key or part,
+    and after ``size`` triangles."""
+    new = np.ones(len(keys), bool)
+    new[1:] = (keys[1:] != keys[:-1]) | (part_of[1:] != part_of[:-1])
+    first = np.flatnonzero(new)
+    place = np.arange(len(keys)) - np.repeat(first, np.diff(np.append(first, len(keys))))
+    return np.flatnonzero(place % size == 0)
+
+
+def _bounds(corners: Float, starts: Index) -> tuple[Float, ...]:
+    """The fields of Clusters of ``corners`` (F, 3, 3), in groups that begin at ``starts``."""
+    counts = np.diff(np.append(starts, len(corners)))
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    axes = np.add.reduceat(cross, starts)
+    length = np.linalg.norm(axes, axis=1, keepdims=True)
+    axes = np.where(length > 0, axes / np.where(length > 0, length, 1), [0.0, 0.0, 1.0])
+    low = np.minimum.reduceat(corners.min(axis=1), starts)
+    high = np.maximum.reduceat(corners.max(axis=1), starts)
+    centres = 0.5 * (low + high)
+    from_centre = corners - np.repeat(centres, counts, axis=0)[:, None]
+    along = np.einsum("fkc,fc->fk", from_centre, np.repeat(axes, counts, axis=0))
+    squared = np.einsum("fkc,fkc->fk", from_centre, from_centre)
+    across = np.maximum.reduceat((squared - along**2).max(axis=1), starts)
+    return (
+        centres,
+        axes,
+        np.minimum.reduceat(along.min(axis=1), starts),
+        np.maximum.reduceat(along.max(axis=1), starts),
+        np.sqrt(np.maximum(across, 0)),
+        np.sqrt(np.maximum.reduceat(squared.max(axis=1), starts)),
+    )

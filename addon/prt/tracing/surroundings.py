@@ -1,0 +1,110 @@
+"""What stands about a receiver: what can shadow it, and whether a look at the horizon pays."""
+
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from ..job import Receiver
+from ..surface.convex import is_convex
+from ..surface.points import Points
+from .clusters import Clusters, Float, Index
+from .hemisphere import GROUP
+from .horizon import Horizon
+
+WORTH = 0.05  # of the rays have to be saved by a sample of the blocks
+SAMPLE, BLOCK = 64, 64  # blocks, and their points
+FLAT = 1e-4
+REACH_BLOCKS = 256
+
+
+class Surroundings:
+    """All occluders: vertices (V, 3), triangles (F, 3), and where each of them starts, (O + 1,)."""
+
+    def __init__(
+        self, vertices: npt.ArrayLike, triangles: npt.ArrayLike, part_starts: npt.ArrayLike
+    ) -> None:
+        self._vertices, self._triangles = np.asarray(vertices), np.asarray(triangles)
+        self._starts = np.asarray(part_starts)
+
+    @cached_property
+    def _clusters(self) -> Clusters:
+        return Clusters.of(self._vertices, self._triangles, self._starts)
+
+    @cached_property
+    def _boxes(self) -> Float:
+        """Lowest and highest corner (O, 6) of every part."""
+        places = self._vertices[self._triangles]
+        filled = np.flatnonzero(np.diff(self._starts) > 0)
+        boxes = np.full((len(self._starts) - 1, 6), np.nan)
+        boxes[filled, :3] = np.minimum.reduceat(places.min(axis=1), self._starts[filled])
+        boxes[filled, 3:] = np.maximum.reduceat(places.max(axis=1), self._starts[filled])
+        return boxes
+
+    def horizon(self, receiver: Receiver, points: Points) -> Horizon | None:
+        """What rises above the tangent planes of ``points`` of ``receiver``; None where a look at
+        some of them says that knowing it would hardly save a ray.
+
+        Only a flat surface or a convex body does not stand in its own light everywhere.
+        """
+        if not len(self._triangles):
+            return None
+        rows = _sample(points)
+        convex = is_convex(receiver)
+        if not convex and _flat_share(points, rows) < WORTH:
+            return None
+        clusters = self._clusters
+        if convex:
+            clusters = clusters.without(self._parts_like(receiver))
+        found = Horizon(clusters)
+        groups = rows.reshape(-1, min(GROUP, rows.shape[1]))
+        saved = found.open_shares(points.origins[groups], points.normals[groups]).mean()
+        return found if saved > WORTH else None
+
+    def reachable(self, points: Points) -> Index:
+        """The parts, ascending, that rise above the tangent plane of any of ``points``: nothing
+        else can change what they see."""
+        size = max(BLOCK, -(-len(points.origins) // REACH_BLOCKS))
+        starts = np.arange(0, len(points.origins), size)
+        found = np.zeros(len(self._boxes), bool)
+        for start in starts:
+            part = slice(start, start + size)
+            normals = points.normals[part].astype(np.float64)
+            axis = normals.mean(axis=0)
+            axis /= max(float(np.linalg.norm(axis)), 1e-30)
+            lowest = (points.origins[part].astype(np.float64) @ axis).min()
+            middle = 0.5 * (self._boxes[:, :3] + self._boxes[:, 3:])
+            half = 0.5 * (self._boxes[:, 3:] - self._boxes[:, :3])
+            height = middle @ axis + half @ np.abs(axis) - lowest
+            nearest = float((normals @ axis).min())
+            away = np.linalg.norm(middle - points.origins[start], axis=1)
+            away += np.linalg.norm(half, axis=1) + np.ptp(points.origins[part], axis=0).max() * 2
+            chord = np.sqrt(max(0.0, 2 - 2 * nearest))
+            found |= height + chord * away > 0
+        return np.asarray(np.flatnonzero(found))
+
+    def _parts_like(self, receiver: Receiver) -> Index:
+        """The parts that are ``receiver`` itself: as large, as many triangles, at its place."""
+        places = np.asarray(receiver.vertices)[receiver.triangles].reshape(-1, 3)
+        box = np.concatenate([places.min(axis=0), places.max(axis=0)])
+        same_size = np.diff(self._starts) == len(receiver.triangles)
+        found: Index = np.flatnonzero(same_size & (self._boxes == box).all(axis=1))
+        return found
+
+
+def _sample(points: Points) -> Index:
+    """Some blocks (B, K) of neighbouring points."""
+    count = len(points.origins)
+    starts = np.linspace(0, max(0, count - BLOCK), SAMPLE).astype(np.int64)
+    return np.asarray(np.minimum(np.unique(starts)[:, None] + np.arange(BLOCK), count - 1))
+
+
+def _flat_share(points: Points, rows: Index) -> float:
+    """The share of the blocks whose points lie in one plane across their normals."""
+    places = points.origins[rows].astype(np.float64)
+    normals = points.normals[rows].astype(np.float64)
+    offset = places - places[:, :1]
+    height = np.abs(np.einsum("bkc,bc->bk", offset, normals[:, 0])).max(axis=1)
+    width = np.abs(offset).max(axis=(1, 2))
+    turned = np.abs(normals - normals[:, :1]).max(axis=(1, 2))
+    return float(((height <= FLAT * width) & (turned <= FLAT)).mean())
