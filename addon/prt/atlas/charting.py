@@ -157,8 +157,8 @@ def _parametrize(layout: Layout) -> None:
 
 
 def _shared(uvs: Float, vertices: Index, charts: Index) -> Charts:
-    """Corners at the same vertex and UV (F, 3, 2) of a chart as one; what hangs together by edges is
-    a chart."""
+    """Corners at the same vertex and UV (F, 3, 2) of a chart as one; what hangs together by edges
+    is a chart."""
     keys = np.concatenate(
         [np.repeat(charts, 3)[:, None], vertices.reshape(-1, 1), uvs.reshape(-1, 2).view(np.int64)],
         axis=1,

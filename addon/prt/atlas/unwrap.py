@@ -34,9 +34,9 @@ class Unwrapped:
 
 @dataclass(frozen=True)
 class _Cut:
-    """All receivers' triangles that have an area to speak of: ``corners`` (F, 3, 3),
-    ``vertices`` (F, 3) and ``loops`` (F, 3), numbered through, the ``pieces`` (F,) and ``receivers`` (F,) that they are
-    of."""
+    """All receivers' triangles that have an area to speak of: ``corners`` (F, 3, 3), ``vertices``
+    (F, 3) and ``loops`` (F, 3), numbered through, the ``pieces`` (F,) and ``receivers`` (F,) that
+    they are of."""
 
     corners: Float
     vertices: Index
