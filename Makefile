@@ -68,7 +68,7 @@ $(VIEWER): viewer/package-lock.json | venv
 browser: venv
 	@tools/system_packages.sh python browser
 
-viewer: $(VIEWER)
+viewer:
 	npm start --prefix viewer -- $(GLB)
 
 real-blender: wheels

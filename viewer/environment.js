@@ -11,7 +11,7 @@ const RGBE = 255 / 256; // a mantissa counts 256ths (Ward), and three.js takes 2
 // { light, texture } of a file.
 export function read(name, buffer) {
   const loader = /\.exr$/i.test(name) ? new EXRLoader() : /\.hdr$/i.test(name) ? new HDRLoader() : null;
-  if (!loader) throw new Error(`${name} is neither .hdr nor .exr`);
+  if (!loader) throw new Error(`${name} is neither .glb, .hdr nor .exr`);
   loader.setDataType(THREE.FloatType);
   let picture;
   try {

@@ -16,7 +16,10 @@ export function serve(port, model) {
     response.writeHead(200, { 'Content-Type': TYPES[extname(file)] ?? 'application/octet-stream', 'Cache-Control': 'no-cache' });
     return createReadStream(file).on('error', () => response.destroy()).pipe(response);
   });
-  return new Promise((done) => server.listen(port, '127.0.0.1', () => done(server)));
+  return new Promise((done) => {
+    server.once('error', () => server.listen(0, '127.0.0.1')); // the port is taken: any other
+    server.listen(port, '127.0.0.1').on('listening', () => done(server));
+  });
 }
 
 if (process.argv[1] === fileURLToPath(import.meta.url)) {

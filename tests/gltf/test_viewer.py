@@ -286,7 +286,7 @@ def test_three_reads_the_attributes_that_are_in_the_file(scene, bake, out, page)
 
 @pytest.mark.parametrize(
     ("name", "sentence"),
-    [("a.png", "neither .hdr nor .exr"), ("a.exr", "cannot be read"), ("a.hdr", "cannot be read")],
+    [("a.png", "neither .glb, .hdr nor"), ("a.exr", "cannot be read"), ("a.hdr", "cannot be read")],
 )
 def test_a_bad_environment_is_one_sentence(page, tmp_path, name, sentence):
     path = tmp_path / name
