@@ -4,18 +4,24 @@ from collections.abc import Generator
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from ..job import Settings
 from ..surface.points import Points
 from .rays import Occlusion
-from .transfer import CAST, Shortcuts, estimate_error, trace_all
+from .transfer import CAST, Array, Shortcuts, estimate_error, relative_rms, trace_all
 
 FALL = 0.77  # the error falls as N^-0.77
 FEWEST, MOST = 16, 65536
-PILOTS = ((64, 1024), (512, 512), (4096, 256))  # rays and points
-GLANCE = ((64, 256),)
+PILOT_RAYS = 64
+PILOT_SHARE, PILOT_POINTS = 1 / 8, (1024, 4096)  # of the points; the fewest and the most of them
+GLANCE = 256  # points, where the rays are given
+SECOND_RAYS, SECOND_COST = 4096, 1 << 19  # the most rays of a point, and of all points together
+NEAR = 1.5  # times the pilot's rays: what is nearer needs no second pilot
+STEEPNESS = (0.5, 1.5)  # how the error may fall below the pilot's rays
 MANY_BLOCKED = 0.02  # of the points: then each point's first rays are traced first
 FIRST_RAYS = 4  # every fourth ray is one of the first
+FEWEST_FIRST = 32  # of them tell that a point sees next to nothing
 
 
 @dataclass(frozen=True)
@@ -30,40 +36,90 @@ class Effort:
     cast: int = 0
 
 
+class _Pilot:
+    """Some points, traced as the bake will trace them; ``cast`` so far."""
+
+    def __init__(self, occlusion: Occlusion, settings: Settings, shortcuts: Shortcuts) -> None:
+        self._occlusion, self._settings, self.cast = occlusion, settings, 0
+        self._shortcuts = Shortcuts(shortcuts.horizon)
+
+    def transfer(self, points: Points, rays: int) -> Generator[int, None, Array]:
+        """Transfer (P, n²) with ``rays`` a point."""
+        its = replace(self._settings, rays=rays)
+        found = np.empty((len(points.origins), its.order**2), np.float32)
+        counts = yield from trace_all(
+            points, self._occlusion, its, found, shortcuts=self._shortcuts
+        )
+        self.cast += counts[CAST]
+        return found
+
+    def error(self, points: Points, found: Array, rays: int) -> float:
+        """The relative RMS error of ``found`` at ``points``, by fewer rays of other azimuths."""
+        its = replace(self._settings, rays=rays)
+        error, more = estimate_error(points, self._occlusion, its, found)
+        self.cast += more
+        return error
+
+
 def effort(
     points: Points, occlusion: Occlusion, settings: Settings, shortcuts: Shortcuts
 ) -> Generator[int, None, Effort]:
     """The effort that brings the relative RMS error of the transfer at ``points`` to the tolerance,
     or the one of the fixed number of rays where there is no tolerance.
 
-    A part of the points is traced with few rays; where the count that follows is far from there,
-    once more with more of them.  Yields the rays cast so far.
+    A part of the points is traced with few rays.  Where the count that follows is far from there,
+    some of these are traced near it, and what that does to their error is taken to be what it does
+    to that of all.  Yields the rays cast so far.
     """
-    done = Effort(FEWEST if settings.tolerance else settings.rays)
     if not len(points.origins):
-        return done
-    for pilot, places in PILOTS if settings.tolerance else GLANCE:
-        if done.cast and done.rays < 1.5 * pilot:
-            break
-        some = _some(points, places)
-        its = replace(settings, rays=pilot)
-        transfer = np.empty((len(some.origins), settings.order**2), np.float32)
-        few = Shortcuts(shortcuts.horizon)
-        counts = yield from trace_all(some, occlusion, its, transfer, shortcuts=few)
-        error, more = estimate_error(some, occlusion, its, transfer)
-        rays = settings.rays
-        if settings.tolerance:
-            needed = pilot * (error / settings.tolerance) ** (1 / FALL)
-            rays = int(np.clip(np.ceil(needed), FEWEST, MOST))
-        blocked = float((~transfer.any(axis=1)).mean())
-        stops = FIRST_RAYS if settings.tolerance and blocked > MANY_BLOCKED else 0
-        noise = error * (pilot / rays) ** FALL
-        done = Effort(rays, noise, stops, done.cast + counts[CAST] + more)
-    return done
+        return Effort(FEWEST if settings.tolerance else settings.rays)
+    pilot = _Pilot(occlusion, settings, shortcuts)
+    few = int(np.clip(len(points.origins) * PILOT_SHARE, *PILOT_POINTS))
+    some = _some(points, few if settings.tolerance else GLANCE)
+    found = yield from pilot.transfer(some, PILOT_RAYS)
+    error = pilot.error(some, found, PILOT_RAYS)
+    if not settings.tolerance:
+        noise = error * (PILOT_RAYS / settings.rays) ** FALL
+        return Effort(settings.rays, noise, 0, pilot.cast)
+    needed = yield from _needed(pilot, some, found, error, settings.tolerance)
+    rays = int(np.clip(np.ceil(needed), FEWEST, MOST))
+    blocked = float((~found.any(axis=1)).mean())
+    stops = blocked > MANY_BLOCKED and rays >= FIRST_RAYS * FEWEST_FIRST
+    noise = settings.tolerance * (needed / rays) ** FALL
+    return Effort(rays, noise, FIRST_RAYS if stops else 0, pilot.cast)
+
+
+def _needed(
+    pilot: _Pilot, points: Points, found: Array, error: float, tolerance: float
+) -> Generator[int, None, float]:
+    """How many rays the ``tolerance`` takes, where PILOT_RAYS have ``found`` (P, n²) the transfer
+    of ``points`` with this ``error``."""
+    needed = float(PILOT_RAYS * (error / tolerance) ** (1 / FALL))
+    if error == 0 or PILOT_RAYS / NEAR < needed < PILOT_RAYS * NEAR:
+        return needed
+    if needed > PILOT_RAYS:
+        rays = int(min(needed / 2, SECOND_RAYS))
+        rows = _spread(len(found), SECOND_COST // rays)
+        few = _at(points, rows)
+        before = pilot.error(few, found[rows], PILOT_RAYS)
+        after = pilot.error(few, (yield from pilot.transfer(few, rays)), rays)
+        return float(rays * (error * after / max(before, 1e-30) / tolerance) ** (1 / FALL))
+    rays = int(max(needed, FEWEST))
+    fewer = yield from pilot.transfer(points, rays)
+    missed = relative_rms(fewer, found)
+    missed = float(np.sqrt(max(missed**2 - error**2, 0.1 * missed**2)))
+    fall = np.log(max(missed / error, 1.0)) / np.log(PILOT_RAYS / rays)
+    return float(rays * (missed / tolerance) ** (1 / np.clip(fall, *STEEPNESS)))
 
 
 def _some(points: Points, places: int) -> Points:
     """At most ``places`` of the points, evenly chosen."""
-    count = len(points.origins)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, places)).astype(np.int64))
-    return Points(points.origins[chosen], points.normals[chosen], points.element_points[:0])
+    return _at(points, _spread(len(points.origins), places))
+
+
+def _spread(count: int, places: int) -> npt.NDArray[np.int64]:
+    return np.unique(np.linspace(0, count - 1, min(count, places)).astype(np.int64))
+
+
+def _at(points: Points, rows: npt.NDArray[np.int64]) -> Points:
+    return Points(points.origins[rows], points.normals[rows], points.element_points[:0])
