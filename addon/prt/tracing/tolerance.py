@@ -18,7 +18,8 @@ PILOT_SHARE, PILOT_POINTS = 1 / 8, (1024, 4096)  # of the points; the fewest and
 GLANCE = 256  # points, where the rays are given
 SECOND_RAYS, SECOND_COST = 4096, 1 << 19  # the most rays of a point, and of all points together
 NEAR = 1.5  # times the pilot's rays: what is nearer needs no second pilot
-STEEPNESS = (0.5, 1.5)  # how the error may fall below the pilot's rays
+STEEPNESS = (0.5, 1.5)  # how the error may fall
+DOUBT_OF_FALL, DOUBT_OF_SHARE = 0.06, 0.05  # standard errors
 MANY_BLOCKED = 0.02  # of the points: then each point's first rays are traced first
 FIRST_RAYS = 4  # every fourth ray is one of the first
 FEWEST_FIRST = 32  # of them tell that a point sees next to nothing
@@ -98,18 +99,30 @@ def _needed(
     if error == 0 or PILOT_RAYS / NEAR < needed < PILOT_RAYS * NEAR:
         return needed
     if needed > PILOT_RAYS:
-        rays = int(min(needed / 2, SECOND_RAYS))
+        rays = int(min(0.75 * needed, SECOND_RAYS))
         rows = _spread(len(found), SECOND_COST // rays)
         few = _at(points, rows)
         before = pilot.error(few, found[rows], PILOT_RAYS)
         after = pilot.error(few, (yield from pilot.transfer(few, rays)), rays)
-        return float(rays * (error * after / max(before, 1e-30) / tolerance) ** (1 / FALL))
+        share = after / max(before, 1e-30)
+        fall = _fall(share, rays / PILOT_RAYS)
+        error *= share * float(np.sqrt((1 + 16**FALL) / (1 + 16**fall)))  # see estimate_error
+        return float(rays * (error / tolerance) ** (1 / fall))
     rays = int(max(needed, FEWEST))
     fewer = yield from pilot.transfer(points, rays)
     missed = relative_rms(fewer, found)
     missed = float(np.sqrt(max(missed**2 - error**2, 0.1 * missed**2)))
     fall = np.log(max(missed / error, 1.0)) / np.log(PILOT_RAYS / rays)
     return float(rays * (missed / tolerance) ** (1 / np.clip(fall, *STEEPNESS)))
+
+
+def _fall(share: float, times: float) -> float:
+    """How the error falls, that ``times`` the rays leave this ``share`` of: what is usual and what
+    is seen, each by how sure it is."""
+    lever = float(np.log(times))
+    seen = -float(np.log(max(share, 1e-6))) / lever
+    sure, usual = (lever / DOUBT_OF_SHARE) ** 2, DOUBT_OF_FALL**-2
+    return float(np.clip((sure * seen + usual * FALL) / (sure + usual), *STEEPNESS))
 
 
 def _some(points: Points, places: int) -> Points:
