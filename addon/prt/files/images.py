@@ -17,6 +17,7 @@ from . import rgbe
 
 Pixels = npt.NDArray[np.float32]
 MAX_PIXELS = 1 << 29  # 32768 x 16384; a header that claims more is damaged
+LARGEST_HALF = 65504.0
 EXR_MAGIC = b"\x76\x2f\x31\x01"
 HDR_MAGIC = b"#?"
 # How C++'s exceptions arrive, and text that is not UTF-8
@@ -53,6 +54,37 @@ def write_exr(path: str, pixels: npt.ArrayLike, metadata: Mapping[str, str] | No
         OpenEXR.File(header | dict(metadata or {}), channels).write(path)
     except EXR_ERRORS as error:
         raise BakeError(f"The picture {path} cannot be written") from error
+
+
+def write_rgba(
+    path: str, pixels: Pixels, *, half: bool = False, metadata: Mapping[str, str] | None = None
+) -> None:
+    """Write pixels (H, W, 4), top row first, as R, G, B, A of float32 or ``half`` floats, with
+    ``metadata`` as attributes in the header.  OSError where there is no room."""
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    kind = np.float16 if half else np.float32
+    if half:
+        pixels = np.clip(pixels, -LARGEST_HALF, LARGEST_HALF)
+    channels = {"RGBA": np.ascontiguousarray(pixels, kind)}
+    try:
+        OpenEXR.File(header | dict(metadata or {}), channels).write(path)
+    except EXR_ERRORS as error:
+        raise OSError(f"{path} cannot be written") from error
+
+
+def read_rgba(path: str) -> tuple[Pixels, dict[str, str]]:
+    """The pixels (H, W, 4) float32, top row first, that ``write_rgba`` wrote, and the header's
+    texts.  BakeError where the file is not one of these."""
+    import OpenEXR
+
+    try:
+        (part,) = OpenEXR.File(path).parts
+        texts = {k: v for k, v in part.header.items() if isinstance(v, str)}
+        return np.asarray(part.channels["RGBA"].pixels, np.float32), texts
+    except EXR_ERRORS as error:
+        raise BakeError(f"The picture {path} is damaged or none of ours") from error
 
 
 def _read_hdr(path: str, data: bytes) -> Pixels:
