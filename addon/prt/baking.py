@@ -1,10 +1,11 @@
 """One receiver: what is known of it already, how many rays it takes, its bake and the report."""
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Generator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,11 +25,14 @@ from .tracing.rays import Geometry, occlusion
 from .tracing.surroundings import Surroundings
 from .tracing.tolerance import FALL, Effort, effort
 from .tracing.transfer import CAST, MAP_RAYS, Counts, Shortcuts, estimate_error, trace_all
-from .vertex.solver import Solved, solve
+from .vertex.solver import Solved, pilot_error, solve
+from .vertex.traced import Found
 
 Array = npt.NDArray[np.float32]
 Entry = dict[str, Any]
+What = TypeVar("What", bound=Found)
 
+PILOT_RAYS = 1024  # the most that a place of a pilot takes
 SAME_PLACE = "the same position and normal"
 UNCHANGED = "nothing has changed since an earlier bake"
 
@@ -66,6 +70,12 @@ class Scene:
         is_counted = self.job.kind == "bake" and not settings.bounces
         return points * settings.rays if is_counted else 0
 
+    def pilot_key(self, index: int, points: Points) -> str:
+        """Names what a pilot says of a receiver; "" where nothing is kept."""
+        if not self.job.settings.cache:
+            return ""
+        return self._keys.receiver("pilot", index, self.surroundings.reachable(points), False)
+
     def keys(self, index: int, points: Points, far: Far | None = None) -> tuple[str, str]:
         """Names of a receiver's result and of its tape; "" for what is not kept.  ``far`` is what
         these depend on beside the occluders in reach."""
@@ -85,7 +95,7 @@ class Baked:
     result: ReceiverResult
     entry: Entry
     points: Points
-    solved: Solved | None = None
+    solved: Found | None = None
 
 
 def prepared(receiver: Receiver) -> Points:
@@ -100,7 +110,7 @@ def prepared(receiver: Receiver) -> Points:
 
 def unchanged(name: str, points: Points, known: Kept) -> Baked:
     """What was kept of a receiver that is now called ``name``."""
-    arrays = {array: np.array(known.arrays[array]) for array in RESULT_ARRAYS}
+    arrays: dict[str, Any] = {array: np.array(known.arrays[array]) for array in RESULT_ARRAYS}
     skipped = {UNCHANGED: known.report["rays"]}
     entry = {**known.report, "name": name, "rays": 0, "skipped": skipped}
     entry.update(seconds={}, mrays_per_second=0.0)
@@ -126,7 +136,7 @@ def bake(scene: Scene, index: int) -> Generator[Progress, None, Baked]:
     return Baked(result, entry, points, solved)
 
 
-class Work:
+class Bake(ABC, Generic[What]):
     """The bake of one receiver, without bounces.  Where its tape is known only the map's own rays
     are traced.  What the rays meet is in ``met`` where a ``keeper`` is to keep it, for the places
     that were traced, one after the other."""
@@ -145,32 +155,25 @@ class Work:
             horizon = scene.surroundings.horizon(self._receiver, points)
         self._shortcuts = Shortcuts(horizon, known=tape.known)
         self._effort = Effort(self._settings.rays)
+        self._pilots, self._expected = points, len(points.origins)
         self._error, self._backs = 0.0, 0
 
-    def solve(self) -> Generator[Progress, None, Solved]:
+    def solve(self) -> Generator[Progress, None, What]:
         """Trace and solve."""
-        meter, points, tape = self._scene.meter, self._points, self._tape
+        meter, tape = self._scene.meter, self._tape
         if tape.known:
             self._effort, self._error = Effort(**tape.report["effort"]), tape.report["error"]
         else:
             with meter.phase("effort"):
-                steps = effort(points, self._occlusion, self._settings, self._shortcuts)
+                steps = effort(self._pilots, self._occlusion, self._settings, self._shortcuts)
                 self._effort = yield from meter.follow("effort", steps, 0, 1)
             self._counts[CAST] += self._effort.cast
         self._shortcuts = replace(self._shortcuts, pilot=0 if self._keeper else self._effort.pilot)
-        expected = len(points.origins) * (self._effort.rays + self._map_rays())
+        expected = self._expected * (self._effort.rays + self._map_rays())
         with meter.phase("transfer"):
-            found = solve(
-                self._receiver,
-                points,
-                self._trace,
-                self._occlusion,
-                self._settings,
-                rays=self._effort.rays,
-                noise=self._effort.noise,
-            )
+            found = self._found()
             before = self._counts[CAST]
-            solved = yield from meter.follow("transfer", found, len(points.origins), expected)
+            solved = yield from meter.follow("transfer", found, self._expected, expected)
             seen = self._counts[CAST] - before + self._counts[MAP_RAYS]
             self._backs = 0 if tape.known else int(solved.entry["rays"]) - seen
         if not tape.known:
@@ -178,6 +181,10 @@ class Work:
                 self._estimate(solved)
             tape.save({"effort": asdict(self._effort), "error": self._error})
         return solved
+
+    @abstractmethod
+    def _found(self) -> Generator[int, None, What]:
+        """What there is to find.  Yields the rays cast so far."""
 
     def _map_rays(self) -> float:
         """About how many rays a point traces towards the map's light."""
@@ -213,7 +220,7 @@ class Work:
             count = len(places.origins)
             self.met.append(keep(self._keeper, self._tape, recorder, count, rays, again))
 
-    def _estimate(self, solved: Solved) -> None:
+    def _estimate(self, solved: Found) -> None:
         """The error at the traced places, pooled: found for those with the most usual number of
         rays, and for the others by how it falls with rays."""
         traced, coefficients = solved.traced, self._settings.order**2
@@ -229,7 +236,7 @@ class Work:
         self._error = error * float(np.sqrt(np.mean(others**2)))
         self._counts[CAST] += cast
 
-    def result(self, solved: Solved) -> ReceiverResult:
+    def result(self, solved: Found) -> ReceiverResult:
         """The values of ``solved``, apart."""
         coefficients, values = self._settings.order**2, solved.values
         transfer, rest = values[:, :coefficients], values[:, coefficients:]
@@ -242,7 +249,7 @@ class Work:
             np.ascontiguousarray(rest[:, end:]),
         )
 
-    def entry(self, solved: Solved) -> Entry:
+    def entry(self, solved: Found) -> Entry:
         """What the report says of the receiver."""
         count, meter = len(self._points.origins), self._scene.meter
         repeated = int((self._points.element_points >= 0).sum()) - count
@@ -265,3 +272,32 @@ class Work:
             **{k: v for k, v in solved.entry.items() if k != "rays"},
             "estimated_error": self._error,
         }
+
+
+class Work(Bake[Solved]):
+    """The bake of one receiver at its points."""
+
+    def _found(self) -> Generator[int, None, Solved]:
+        """Values of the points.  Yields the rays cast so far."""
+        return solve(
+            self._receiver,
+            self._points,
+            self._trace,
+            self._occlusion,
+            self._settings,
+            rays=self._effort.rays,
+            noise=self._effort.noise,
+        )
+
+    def interpolation_error(self) -> Generator[int, None, float]:
+        """About how wrong values of the points alone would be between them, relative to all, from
+        a pilot.  Yields the rays cast so far."""
+        found = yield from effort(self._pilots, self._occlusion, self._settings, self._shortcuts)
+        rays, noise = min(found.rays, PILOT_RAYS), found.noise
+        noise *= (found.rays / rays) ** FALL
+        settings = self._settings
+        return (
+            yield from pilot_error(
+                self._receiver, self._points, self._trace, settings, rays=rays, noise=noise
+            )
+        )

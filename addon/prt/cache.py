@@ -24,7 +24,7 @@ from . import VERSION
 from .digests import add_array
 from .job import RECEIVER_ARRAYS, Array, Job, light_digest
 
-What = Literal["result", "visibility"]
+What = Literal["result", "visibility", "pilot"]
 
 LIMIT_BYTES = 2 << 30
 MAGIC = b"PRT Baker's cache, entry of version 1\n"
@@ -34,7 +34,8 @@ ALIGNMENT = 64
 LENGTH_BYTES, CHECKSUM_BYTES = 8, 4
 LEAST_BYTES = len(MAGIC) + LENGTH_BYTES + CHECKSUM_BYTES
 # what changes no result, and what changes none as long as no light is looked at
-NEVER = ("threads", "cache", "verify_points", "verify_rays")
+ATLAS = ("resolution", "texel_density", "shared_atlas", "padding_mip", "half")  # its UVs tell
+NEVER = ("threads", "cache", "verify_points", "verify_rays", *ATLAS)
 BY_LIGHT = ("residual", "map_rays", "turns", "peaks", "final_light")
 
 

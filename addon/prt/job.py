@@ -33,6 +33,7 @@ VERSION = 1
 Array = npt.NDArray[Any]
 Domain = Literal["POINT", "CORNER"]
 Kind = Literal["bake", "light", "verify"]
+Carrier = Literal["vertex", "texture", "auto"]
 Vector = tuple[float, float, float]
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -53,6 +54,10 @@ class Settings:
     alone, ALL goes on until the added light falls below the tolerance.  ``threads`` 0 means every
     core and changes no result; nor does ``cache``, a folder that keeps what was traced, "" for
     none.
+
+    An atlas has ``resolution`` texels a side, unless ``texel_density``, texels a metre, is given:
+    then as many as that takes.  ``shared_atlas`` puts all receivers into one, else each has its
+    own.  Charts stay apart up to mip level ``padding_mip``.  ``half`` stores half floats.
     """
 
     order: int = 3
@@ -65,6 +70,11 @@ class Settings:
     peaks: int = 0
     final_light: bool = False
     bounces: int = 0
+    resolution: int = 1024
+    texel_density: float = 0.0
+    shared_atlas: bool = True
+    padding_mip: int = 2
+    half: bool = False
     cache: str = ""
     seed: int = 0
     threads: int = 0
@@ -101,7 +111,13 @@ class Receiver:
     corners, ``corner_vertices`` (C,) int32, ``normals`` float32 unit shading normals: (V, 3) where
     ``domain`` is POINT, (C, 3) where it is CORNER.  ``transfer`` (E, channels, n²) and
     ``residual`` (E, turns, 3) float32, one for each element of the domain, are given for a job that
-    verifies a bake.
+    verifies a bake; where that is in a texture they are what is shown at the ``places``, rows of
+    (triangle, barycentric coordinates) (E, 4) float64.
+
+    The values lie where ``carrier`` says: at the elements, in an atlas, or where a prediction says
+    that they are better off.  Receivers of one ``group``, which share materials, share an atlas.
+    ``uvs`` (C, 2) float32, one a corner, are kept where they can be: without a ``uv_key`` they are
+    the artist's, and with one those of an earlier bake, for the atlas that the key names.
     """
 
     name: str
@@ -113,6 +129,11 @@ class Receiver:
     normals: Array
     transfer: Array | None = None
     residual: Array | None = None
+    carrier: Carrier = "vertex"
+    group: int = -1
+    uvs: Array | None = None
+    uv_key: str = ""
+    places: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -182,7 +203,8 @@ class Peak:
 
 SETTINGS = "settings.json"
 RECEIVER_ARRAYS = ("vertices", "triangles", "triangle_corners", "corner_vertices", "normals")
-SHOWN = ("transfer", "residual")
+SHOWN = ("transfer", "residual", "uvs", "places")
+HEADER = ("name", "domain", "carrier", "group", "uv_key")
 
 
 def content_hash(job: Job) -> str:
@@ -190,7 +212,7 @@ def content_hash(job: Job) -> str:
     digest = hashlib.blake2b(digest_size=16)
     without = ("threads", "cache")
     settings = {k: v for k, v in asdict(job.settings).items() if k not in without}
-    receivers = [(r.name, r.domain) for r in job.receivers]
+    receivers = [[getattr(r, name) for name in HEADER] for r in job.receivers]
     digest.update(json.dumps((VERSION, job.kind, settings, receivers), sort_keys=True).encode())
     digest.update(light_digest(job.light))
     for name, array in _arrays(job, None):
@@ -218,7 +240,7 @@ def write(job: Job, folder: Path) -> None:
     if job.light is not None and job.light.pixels is not None:
         np.save(folder / "image.npy", job.light.pixels)
     receivers = [
-        {"name": r.name, "domain": r.domain, "shown": [n for n in SHOWN if _has(r, n)]}
+        {name: getattr(r, name) for name in HEADER} | {"shown": [n for n in SHOWN if _has(r, n)]}
         for r in job.receivers
     ]
     values = {
@@ -319,9 +341,10 @@ def _read_light(values: dict[str, Any] | None, folder: Path) -> LightSource | No
 
 
 def _read_receiver(folder: Path, i: int, values: dict[str, Any]) -> Receiver:
-    arrays = {name: _load(folder, f"{i}_{name}") for name in RECEIVER_ARRAYS}
-    shown = {name: _load(folder, f"{i}_{name}") for name in values["shown"]}
-    return Receiver(values["name"], values["domain"], **arrays, **shown)
+    fields_of: dict[str, Any] = {name: values[name] for name in HEADER}
+    for name in (*RECEIVER_ARRAYS, *values["shown"]):
+        fields_of[name] = _load(folder, f"{i}_{name}")
+    return Receiver(**fields_of)
 
 
 def _has(receiver: Receiver, name: str) -> bool:

@@ -38,17 +38,19 @@ class Meter:
     ) -> Generator[Progress, None, Value]:
         """Progress of ``steps``, which yield the rays that they have cast; their value.
 
-        They are ``share`` of the work and will take about ``expected`` rays.
+        They are ``share`` of the work and will take about ``expected`` rays; where they have cast
+        none lately they may say 0.
         """
-        rays, done = self.rays, self.done
+        rays, done, most = self.rays, self.done, 0
         while True:
             try:
                 cast_so_far = next(steps)
             except StopIteration as stop:
                 self.done = done + share
                 return cast(Value, stop.value)
-            self.rays = rays + cast_so_far
-            self.done = done + share * min(1.0, cast_so_far / max(1.0, expected))
+            most = max(most, cast_so_far)
+            self.rays = rays + most
+            self.done = done + share * min(1.0, most / max(1.0, expected))
             yield self.progress(phase)
 
     def progress(self, phase: str) -> Progress:

@@ -3,9 +3,11 @@
 ``write_results`` and ``read_results`` are inverse.  All lies in the job's sub-folder ``results``,
 which exists only when all of it is there:
 
-    report.json             names of the receivers, peaks, the JSON report
+    report.json             names of the receivers, atlases, peaks, the JSON report
     light.npy               see ``Results.image_sh``
-    0_transfer.npy ...      the arrays of receiver 0, see ``ReceiverResult``
+    0_transfer.npy ...      the arrays of receiver 0, see ``ReceiverResult``; where it is in an
+                            atlas only some of the points, and 0_uvs.npy
+    atlas_0.exr ...         see ``Atlas``
 """
 
 import json
@@ -15,10 +17,22 @@ from typing import Any
 
 import numpy as np
 
+from .files.atlases import write_tiles
 from .job import Array, Peak
 
 RESULTS = "results"
 RESULT_ARRAYS = ("transfer", "element_points", "residual", "visibility")
+SOME = 1 << 16  # points of a texture that are left for who wants to know about all
+
+
+@dataclass(frozen=True)
+class InAtlas:
+    """Where a receiver is: in atlas number ``atlas``, with ``uvs`` (C, 2) float32, one a corner, in
+    [0, 1]; its points are the ``texels`` (P,), row * size + column, row 0 at the bottom."""
+
+    atlas: int
+    uvs: Array
+    texels: Array = field(default_factory=lambda: np.empty(0, np.int64))
 
 
 @dataclass(frozen=True)
@@ -26,13 +40,15 @@ class ReceiverResult:
     """Baked values of P distinct points, float32: ``transfer`` (P, channels, n²), ``residual``
     (P, turns, 3), exit radiance of a white surface that the transfer misses at the baked light, and
     ``visibility`` (P, lights) of the lights cut out; turns and lights may be 0.  For each element
-    of the domain the point that it shows, ``element_points`` (E,) int32, -1 where it has none."""
+    of the domain the point that it shows, ``element_points`` (E,) int32, -1 where it has none; no
+    elements where the points are texels (``in_atlas``)."""
 
     name: str
     transfer: Array
     element_points: Array
     residual: Array = field(default_factory=lambda: np.empty((0, 0, 3), np.float32))
     visibility: Array = field(default_factory=lambda: np.empty((0, 0), np.float32))
+    in_atlas: InAtlas | None = None
 
     def __post_init__(self) -> None:
         """Without residual or lights: arrays of the right length."""
@@ -51,6 +67,20 @@ class ReceiverResult:
 
 
 @dataclass(frozen=True)
+class Atlas:
+    """An image of ``size`` x ``size`` texels, whose columns are called ``names``: ``image``
+    (N, N, K) float32, row 0 at the bottom, until it is written, and its ``path`` from then on; no
+    surface lies nearer to its border than ``margin`` texels.  ``half`` is how it is stored."""
+
+    size: int
+    names: tuple[str, ...]
+    margin: float
+    half: bool = False
+    image: Array | None = None
+    path: Path | None = None
+
+
+@dataclass(frozen=True)
 class Results:
     """What a run leaves: ``image_sh`` (25, 3) float64 is the light's image (or 1, where there is
     none) unrotated and without its strength, its peaks included; ``peaks`` are those that the
@@ -60,6 +90,7 @@ class Results:
     receivers: tuple[ReceiverResult, ...]
     report: dict[str, Any]
     peaks: tuple[Peak, ...] = ()
+    atlases: tuple[Atlas, ...] = ()
 
 
 def write_results(results: Results, folder: Path) -> None:
@@ -69,10 +100,20 @@ def write_results(results: Results, folder: Path) -> None:
     if results.image_sh is not None:
         np.save(unfinished / "light.npy", results.image_sh)
     for i, result in enumerate(results.receivers):
+        step = 1 if result.in_atlas is None else 1 + len(result.transfer) // SOME
         for name in RESULT_ARRAYS:
-            np.save(unfinished / f"{i}_{name}.npy", getattr(result, name))
+            np.save(unfinished / f"{i}_{name}.npy", getattr(result, name)[::step])
+        if result.in_atlas is not None:
+            np.save(unfinished / f"{i}_uvs.npy", result.in_atlas.uvs)
+    stamp = {"prtBaker": str(results.report.get("job_hash", ""))}
+    for i, atlas in enumerate(results.atlases):
+        assert atlas.image is not None
+        path = unfinished / f"atlas_{i}.exr"
+        write_tiles(path, atlas.image, atlas.names, half=atlas.half, metadata=stamp)
     report = {
         "names": [r.name for r in results.receivers],
+        "in_atlas": [-1 if r.in_atlas is None else r.in_atlas.atlas for r in results.receivers],
+        "atlases": [(a.size, a.names, a.margin, a.half) for a in results.atlases],
         "peaks": [asdict(peak) for peak in results.peaks],
         "report": results.report,
     }
@@ -81,12 +122,12 @@ def write_results(results: Results, folder: Path) -> None:
 
 
 def read_results(folder: Path) -> Results:
-    """The results in ``folder``, loaded whole."""
+    """The results in ``folder``, loaded whole, all but the atlases."""
     done = folder / RESULTS
     values = json.loads((done / "report.json").read_text(encoding="utf-8"))
     receivers = tuple(
-        ReceiverResult(name, *(np.load(done / f"{i}_{array}.npy") for array in RESULT_ARRAYS))
-        for i, name in enumerate(values["names"])
+        _read_receiver(done, i, name, atlas)
+        for i, (name, atlas) in enumerate(zip(values["names"], values["in_atlas"], strict=True))
     )
     light = done / "light.npy"
     image_sh = np.load(light) if light.exists() else None
@@ -94,4 +135,14 @@ def read_results(folder: Path) -> Results:
         Peak(tuple(p["direction"]), tuple(p["irradiance"]), p["angular_radius"])
         for p in values["peaks"]
     )
-    return Results(image_sh, receivers, values["report"], peaks)
+    atlases = tuple(
+        Atlas(size, tuple(names), margin, half, path=done / f"atlas_{i}.exr")
+        for i, (size, names, margin, half) in enumerate(values["atlases"])
+    )
+    return Results(image_sh, receivers, values["report"], peaks, atlases)
+
+
+def _read_receiver(done: Path, i: int, name: str, atlas: int) -> ReceiverResult:
+    arrays = {array: np.load(done / f"{i}_{array}.npy") for array in RESULT_ARRAYS}
+    in_atlas = InAtlas(atlas, np.load(done / f"{i}_uvs.npy")) if atlas >= 0 else None
+    return ReceiverResult(name, **arrays, in_atlas=in_atlas)

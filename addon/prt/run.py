@@ -8,19 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from . import VERSION, bands
+from . import VERSION, bands, choosing, texturing
 from .baking import Baked, Scene, bake
 from .bounced import bake_all
 from .bounces.walks import Walls
 from .cache import Cache
+from .errors import BakeError
 from .files import images
 from .job import Job, Progress, Receiver, content_hash
 from .light.world import World
 from .meter import Meter
-from .results import ReceiverResult, Results
+from .results import Atlas, ReceiverResult, Results
 from .surface.points import Points, distinct_points
+from .surface.samples import Places
+from .texturing import Sheet
 from .tracing import rays
-from .verify import measure
+from .verify import Shown, measure, shown_at
 from .vertex.traced import Traced
 
 Entry = dict[str, Any]
@@ -37,21 +40,35 @@ def run(job: Job) -> Generator[Progress, None, Results]:
         image_sh = world.image_sh
     scene = Scene(job, world, cache, meter)
     receivers: Sequence[ReceiverResult] = ()
+    atlases: list[Atlas] = []
     if job.kind == "bake":
-        receivers = yield from _bake(scene, report["objects"])
+        scene.job, choices = yield from choosing.decided(scene)
+        meter.work = _work(scene.job)
+        receivers, sheets = yield from _bake(scene, report["objects"])
+        for index, choice in choices.items():
+            report["objects"][index]["predicted"] = choosing.report(choice)
         receivers = _with_needed_bands(scene, receivers, report["objects"])
+        atlases = yield from _painted(scene, sheets, receivers)
     elif job.kind == "verify":
         yield from _verify(scene, report["objects"])
     if job.light is not None:
         report["light"] = world.report
     report.update(_run_report(job, meter))
-    return Results(image_sh, tuple(receivers), report, world.peaks)
+    return Results(image_sh, tuple(receivers), report, world.peaks, tuple(atlases))
 
 
 def _work(job: Job) -> float:
     """All that is to be done, in points; as ``_bake`` and ``_verify`` count it."""
-    points = sum(len(r.normals) for r in job.receivers) if job.kind == "bake" else 0
+    points = 0.0
+    if job.kind == "bake":
+        points = sum(len(job.receivers[i].normals) for i in _in(job, "vertex"))
+        points += texturing.work_of(job, _in(job, "texture"))
     return max(1.0, points + len(job.receivers) * _verify_work(job))
+
+
+def _in(job: Job, carrier: str) -> list[int]:
+    """The receivers whose values lie in a ``carrier``."""
+    return [i for i, receiver in enumerate(job.receivers) if receiver.carrier == carrier]
 
 
 def _verify_work(job: Job) -> float:
@@ -60,25 +77,64 @@ def _verify_work(job: Job) -> float:
     return 2 * settings.verify_points * settings.verify_rays / settings.rays
 
 
-def _bake(scene: Scene, entries: list[Entry]) -> Generator[Progress, None, list[ReceiverResult]]:
-    """Bake every receiver, with an entry of the report for each."""
+def _bake(
+    scene: Scene, entries: list[Entry]
+) -> Generator[Progress, None, tuple[list[ReceiverResult], list[Sheet]]]:
+    """Bake every receiver, with an entry of the report for each, and lay out the atlases."""
+    on_vertices, in_textures = (_in(scene.job, carrier) for carrier in ("vertex", "texture"))
+    if scene.job.bounces and in_textures:
+        raise BakeError(
+            "Bounced light goes to vertices alone so far: choose them, or leave the bounces out"
+        )
+    bakes: dict[int, Baked] = {}
     if scene.job.bounces:
-        bakes = yield from bake_all(scene)
-    else:
-        bakes = []
-    results = []
-    for index, receiver in enumerate(scene.job.receivers):
-        if scene.job.bounces:
-            baked = bakes[index]
-        else:
+        bakes = dict(enumerate((yield from bake_all(scene))))
+    for index in on_vertices:
+        receiver = scene.job.receivers[index]
+        if not scene.job.bounces:
             yield scene.meter.progress("prepare")
-            baked = yield from bake(scene, index)
-        scene.meter.work += len(baked.points.origins) - len(receiver.normals)
+            bakes[index] = yield from bake(scene, index)
+        scene.meter.work += len(bakes[index].points.origins) - len(receiver.normals)
         if scene.job.settings.verify_points:
-            yield from _measure_bake(scene, receiver, baked)
-        results.append(baked.result)
-        entries.append(baked.entry)
-    return results
+            yield from _measure_bake(scene, receiver, bakes[index])
+    sheets = []
+    for number, plan in enumerate(texturing.plans(scene.job, in_textures)):
+        yield scene.meter.progress("unwrap")
+        sheet = yield from texturing.laid_out(scene, plan)
+        sheets.append(sheet)
+        for index in plan.receivers:
+            yield scene.meter.progress("prepare")
+            bakes[index] = yield from texturing.bake_texels(scene, index, sheet, number)
+            if scene.job.settings.verify_points:
+                yield from _measure_texels(scene, index, sheet, bakes[index])
+    entries += [bakes[index].entry for index in sorted(bakes)]
+    return [bakes[index].result for index in sorted(bakes)], sheets
+
+
+def _painted(
+    scene: Scene, sheets: list[Sheet], receivers: Sequence[ReceiverResult]
+) -> Generator[Progress, None, list[Atlas]]:
+    """The atlases, filled."""
+    atlases = []
+    for number, sheet in enumerate(sheets):
+        yield scene.meter.progress("fill")
+        with scene.meter.phase("fill"):
+            half = scene.job.settings.half
+            atlases.append(texturing.painted(sheet, receivers, number, half=half))
+    if sheets:
+        yield scene.meter.progress("write")
+    return atlases
+
+
+def _measure_texels(
+    scene: Scene, index: int, sheet: Sheet, baked: Baked
+) -> Generator[Progress, None, None]:
+    """As ``_measure_bake``, between texels."""
+    receiver, settings = scene.job.receivers[index], scene.job.settings
+    count, seed = settings.verify_points, settings.seed
+    shown = texturing.between_texels(receiver, baked.result, sheet.size, count, seed)
+    traced = baked.solved.traced if baked.solved else None
+    baked.entry["measured_error"] = yield from _measure(scene, receiver, None, traced, shown)
 
 
 def _measure_bake(
@@ -98,12 +154,33 @@ def _measure_bake(
 def _verify(scene: Scene, entries: list[Entry]) -> Generator[Progress, None, None]:
     """Measure every receiver as it is shown."""
     for receiver in scene.job.receivers:
-        measured = yield from _measure(scene, receiver, distinct_points(receiver), None)
+        points = distinct_points(receiver) if receiver.places is None else None
+        surface = _at_places(receiver) if receiver.places is not None else None
+        measured = yield from _measure(scene, receiver, points, None, surface)
         entries.append({"name": receiver.name, "measured_error": measured})
 
 
+def _at_places(receiver: Receiver) -> Shown:
+    """What ``receiver`` is said to show at its ``places``."""
+    assert receiver.places is not None
+    assert receiver.transfer is not None
+    places = Places(receiver.places[:, 0].astype(np.int64), np.asarray(receiver.places[:, 1:]))
+    residual = receiver.residual
+    has_residual = residual is not None and residual.shape[1]
+    return shown_at(
+        receiver,
+        places,
+        receiver.transfer.astype(np.float64),
+        residual[:, 0].astype(np.float64) if residual is not None and has_residual else None,
+    )
+
+
 def _measure(
-    scene: Scene, receiver: Receiver, points: Points, traced: Traced | None
+    scene: Scene,
+    receiver: Receiver,
+    points: Points | None,
+    traced: Traced | None,
+    surface: Shown | None = None,
 ) -> Generator[Progress, None, Entry]:
     """The measured errors of what ``receiver`` shows."""
     settings = scene.job.settings
@@ -111,7 +188,14 @@ def _measure(
         walls, occlusion = _walls(scene), scene.occlusion.watertight()
         light = None if walls else scene.world.reference(occlusion)
         steps = measure(
-            receiver, points, occlusion, settings, traced=traced, light=light, walls=walls
+            receiver,
+            points,
+            occlusion,
+            settings,
+            traced=traced,
+            light=light,
+            walls=walls,
+            surface=surface,
         )
         expected = 2 * settings.verify_points * settings.verify_rays
         share = _verify_work(scene.job)

@@ -15,7 +15,7 @@ from . import sh
 from .bounces.walks import Walls, walk
 from .job import ALL, Receiver, Settings
 from .surface.points import Float, Points, Surface, element_triangles
-from .surface.samples import random_places, starts
+from .surface.samples import Places, random_places, starts
 from .tracing.buried import buried, rays_for
 from .tracing.hemisphere import cosine_fibonacci, frames
 from .tracing.rays import Occlusion
@@ -40,9 +40,10 @@ class Measured:
     """Relative RMS errors of the transfer: ``at_points``, where it was traced (the rays' noise),
     and ``on_surface``, between the vertices too (noise and the mesh's coarseness); ``histogram``
     of the latter, point by point: ``counts`` between ``edges``, the last of them without end; and
-    the same two errors of the exit radiance at the baked light, None without one."""
+    the same two errors of the exit radiance at the baked light, None without one.  ``at_points`` is
+    None where it is not known where that was."""
 
-    at_points: float
+    at_points: float | None
     on_surface: float
     points: int
     rays: int
@@ -65,10 +66,8 @@ class Shown:
 def random_surface_points(receiver: Receiver, count: int, seed: int) -> Shown:
     """``count`` points, uniform over the area of ``receiver``, which has its transfer."""
     assert receiver.transfer is not None
-    surface, rows = Surface.of(receiver), element_triangles(receiver)
-    places = random_places(surface.areas, count, seed)
-    origins, normals = starts(surface, rows, receiver.normals, places)
-    elements = rows[places.triangles]
+    places = random_places(Surface.of(receiver).areas, count, seed)
+    elements = element_triangles(receiver)[places.triangles]
 
     def shown(values: npt.NDArray[Any]) -> Float:
         corners = values[elements].astype(np.float64)
@@ -76,12 +75,19 @@ def random_surface_points(receiver: Receiver, count: int, seed: int) -> Shown:
 
     residual = receiver.residual
     has_residual = residual is not None and residual.shape[1]
-    return Shown(
-        origins,
-        normals,
+    return shown_at(
+        receiver,
+        places,
         shown(receiver.transfer),
         shown(residual[:, 0]) if residual is not None and has_residual else None,
     )
+
+
+def shown_at(receiver: Receiver, places: Places, transfer: Float, residual: Float | None) -> Shown:
+    """What is shown at ``places`` (P,) of ``receiver``: ``transfer`` (P, channels, n²), and
+    ``residual`` (P, 3) or None."""
+    surface, rows = Surface.of(receiver), element_triangles(receiver)
+    return Shown(*starts(surface, rows, receiver.normals, places), transfer, residual)
 
 
 def brute_force(
@@ -127,28 +133,33 @@ def random_walks(
 
 def measure(
     receiver: Receiver,
-    points: Points,
+    points: Points | None,
     occlusion: Occlusion,
     settings: Settings,
     *,
     traced: Traced | None = None,
     light: Light | None = None,
     walls: Walls | None = None,
+    surface: Shown | None = None,
 ) -> Generator[int, None, Measured]:
     """Trace ``verify_points`` random points of the surface, and as many of the places that were
-    ``traced`` (the points, where that isn't known), again.
+    ``traced`` (the points, where that isn't known), again.  ``surface`` is what is shown at random
+    places, where that is not in the receiver's elements.
 
     Yields the rays cast so far; the errors are the generator's value.  Places inside of other
     things, which nobody sees, don't count.  Where light bounces off ``walls`` the reference are
     random walks, which have some noise of their own; places that were traced say nothing then,
     since they know the direct light alone, and the points do.
     """
-    count = settings.verify_points
-    surface = random_surface_points(receiver, count, settings.seed)
-    if traced is None or walls is not None:
+    if surface is None:
+        surface = random_surface_points(receiver, settings.verify_points, settings.seed)
+    count = len(surface.origins)
+    if traced is not None and walls is None:
+        at = _at_traced(traced, settings)
+    elif points is not None:
         at = _at_points(receiver, points, count)
     else:
-        at = _at_traced(traced, settings)
+        at = Shown(surface.origins[:0], surface.normals[:0], surface.transfer[:0], None)
     origins = np.concatenate([surface.origins, at.origins])
     normals = np.concatenate([surface.normals, at.normals])
     channels = surface.transfer.shape[1]
@@ -161,12 +172,12 @@ def measure(
     at_points, _, light_at_points = _errors(at, reference[here], seen[here], light)
     on_surface, each, light_on_surface = _errors(surface, reference[there], seen[there], light)
     return Measured(
-        at_points,
+        at_points if len(at.origins) else None,
         on_surface,
         len(origins),
         cast + rays_for(reference),
         {"edges": EDGES[:-1].tolist(), "counts": np.histogram(each, EDGES)[0].tolist()},
-        light_at_points,
+        light_at_points if len(at.origins) else None,
         light_on_surface,
     )
 

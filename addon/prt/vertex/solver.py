@@ -12,7 +12,6 @@ their places are samples.
 
 from collections.abc import Generator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from ..tracing.rays import Occlusion
 from .fit_mesh import interpolated
 from .parts import joined, parts_of
 from .projection import Projection
-from .traced import Array, Mask, Trace, Traced, Tracer, part_of
+from .traced import Found, Mask, Trace, Tracer, part_of
 from .values import Values, squares
 
 POINTS, SMOOTH, BOTH, FINE = range(4)  # how a part is found
@@ -33,19 +32,17 @@ NONE = np.zeros(0, np.int64)
 MIN_RAYS = 32  # of a sample
 PILOT_SHARE = 1 / 60  # of a part's points: pilot triangles
 PILOT = (12, 150)  # the fewest and the most of them
+LOOKS = (128, 512)  # the fewest and the most places that tell how coarse a mesh is
 REST_PILOT = (4, 64)  # where nothing is to be chosen
 COARSE = 8.0  # squared error of interpolation over the noise's: above, the mesh is too coarse
 SMOOTH_ERROR = 1.3  # of the points' error: below, a fit to the first samples is promising
 
 
 @dataclass(frozen=True)
-class Solved:
-    """``values`` (P, K) of the points; ``entry``, what the report says about them; ``traced``, all
-    places that rays started from; ``projection``, how more that is found there is shown."""
+class Solved(Found):
+    """What was found of points, with all places that rays started from; ``projection``, how more
+    that is found there is shown."""
 
-    values: Array
-    entry: dict[str, Any]
-    traced: Traced
     projection: Projection
 
 
@@ -86,6 +83,29 @@ def solve(
     }
     projection = Projection(parts, work, traced, unseen, hidden, filled, givers)
     return Solved(values, entry, traced, projection)
+
+
+def pilot_error(
+    receiver: Receiver,
+    points: Points,
+    trace: Trace,
+    settings: Settings,
+    *,
+    rays: int,
+    noise: float,
+) -> Generator[int, None, float]:
+    """About how wrong values of ``points`` are between these, relative to all, without the noise
+    of ``rays`` a place, which is ``noise``.  Yields the rays cast so far."""
+    parts = parts_of(receiver, points, may_fit=False)
+    tracer = Tracer(points, parts, trace, rays)
+    triangles = np.arange(len(parts.mesh.corners))
+    count = int(np.clip(len(points.origins) * PILOT_SHARE, *LOOKS))
+    areas = parts.surface.areas
+    places = stratified_places(parts.surface, triangles, areas, count, settings.seed)
+    corners = np.unique(parts.mesh.corners[places.triangles])
+    yield from tracer.follow(corners, places, rays)
+    squared = _coarseness(tracer, settings, noise)
+    return float(noise * np.sqrt(squared[parts.rest]))
 
 
 def _pilot(tracer: Tracer, settings: Settings) -> Generator[int, None, None]:

@@ -3,7 +3,7 @@
 from collections.abc import Generator
 from dataclasses import dataclass
 from functools import reduce
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +52,16 @@ class Traced:
             if name != "places"
         }
         return Traced(places=joined([self.places, other.places]), **arrays)
+
+
+@dataclass(frozen=True)
+class Found:
+    """``values`` (P, K) of points, or texels; ``entry``, what the report says about them;
+    ``traced``, places that rays started from."""
+
+    values: Array
+    entry: dict[str, Any]
+    traced: Traced
 
 
 class Tracer:
