@@ -1,7 +1,7 @@
-"""Baked values as colour attributes of a mesh, four float32 each.
+"""What a bake stores on a mesh: colour attributes of four float32 each, or the UV map of an atlas.
 
-Nothing of the artist's changes with them: neither which attribute is active, nor which colour is
-shown or rendered.
+Nothing of the artist's changes with them: neither which attribute or UV map is active, nor which
+colour or UV map is shown or rendered.
 """
 
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 import numpy.typing as npt
 
-from . import carrier_nodes
+from . import carrier_nodes, uv_maps
 from .prt import layout as layouts
 from .prt.errors import BakeError
 from .prt.layout import PREFIX, Layout
@@ -19,11 +19,13 @@ from .stamp import Stamp
 
 Values = npt.NDArray[np.float32]
 Stored = dict[str, tuple[str, Values]]
+TYPES = {4: ("FLOAT_COLOR", "color"), 2: ("FLOAT2", "vector")}  # by numbers an element
 
 
 def names(mesh: bpy.types.Mesh) -> list[str]:
-    """The baked attributes of ``mesh``."""
-    return [attribute.name for attribute in mesh.attributes if attribute.name.startswith(PREFIX)]
+    """The baked attributes of ``mesh``, our UV map included."""
+    found = [attribute.name for attribute in mesh.attributes if attribute.name.startswith(PREFIX)]
+    return found + [uv_maps.NAME] * uv_maps.is_ours(mesh)
 
 
 def write(mesh: bpy.types.Mesh, layout: Layout, domain: str, values: Values) -> None:
@@ -37,14 +39,25 @@ def split(layout: Layout, domain: str, values: Values) -> Stored:
     return {name: (domain, columns[:, k]) for k, name in enumerate(layout.attributes)}
 
 
+def with_uvs(uvs: Values) -> Stored:
+    """The UV map ``uvs`` (C, 2) of an atlas, as ``put`` takes it."""
+    return {uv_maps.NAME: ("CORNER", uvs)}
+
+
 def put(mesh: bpy.types.Mesh, stored: Stored) -> None:
-    """Make ``stored``, name to domain and values (E, 4), the baked attributes of ``mesh``."""
+    """Make ``stored``, name to domain and values (E, 4 or 2), the baked attributes of ``mesh``."""
     with _kept_active(mesh):
         for name in names(mesh):
             mesh.attributes.remove(mesh.attributes[name])
+        if uv_maps.TAG in mesh:
+            del mesh[uv_maps.TAG]
         for name, (domain, values) in stored.items():
-            attribute = mesh.attributes.new(name, "FLOAT_COLOR", domain)
-            attribute.data.foreach_set("color", np.ascontiguousarray(values, np.float32).ravel())
+            flat = np.ascontiguousarray(values, np.float32).ravel()
+            kind, component = TYPES[values.shape[1]]
+            attribute = mesh.attributes.new(name, kind, domain)
+            attribute.data.foreach_set(component, flat)
+            if name == uv_maps.NAME:
+                mesh[uv_maps.TAG] = uv_maps.digest(values)
     mesh.update_tag()
 
 
@@ -70,18 +83,21 @@ def read(obj: bpy.types.Object, stamp: Stamp) -> layouts.Values:
 
 
 def _values(mesh: bpy.types.Mesh, name: str) -> Values:
-    """Values (E, 4) of one colour attribute."""
+    """Values (E, 4) of one colour attribute, or (C, 2) of our UV map."""
     data = mesh.attributes[name].data
-    values = np.empty(len(data) * 4, np.float32)
-    data.foreach_get("color", values)
-    return values.reshape(-1, 4)
+    width = 2 if name == uv_maps.NAME else 4
+    values = np.empty(len(data) * width, np.float32)
+    data.foreach_get(TYPES[width][1], values)
+    return values.reshape(-1, width)
 
 
 @contextmanager
 def _kept_active(mesh: bpy.types.Mesh) -> Iterator[None]:
     """Adding and removing attributes inside leaves the active ones as they are, by name."""
-    attributes = mesh.attributes
+    attributes, layers = mesh.attributes, mesh.uv_layers
     active = attributes.active.name if attributes.active else ""
+    edited = layers.active.name if layers.active else ""
+    shown_uvs = next((layer.name for layer in layers if layer.active_render), "")
     colours = [attributes.active_color_name or "", attributes.default_color_name or ""]
     shown, rendered = ("" if name.startswith(PREFIX) else name for name in colours)
     yield
@@ -89,3 +105,7 @@ def _kept_active(mesh: bpy.types.Mesh) -> Iterator[None]:
     attributes.default_color_name = rendered
     if active in attributes:
         attributes.active = attributes[active]
+    if edited in layers:
+        layers.active = layers[edited]
+    if shown_uvs in layers:
+        layers[shown_uvs].active_render = True

@@ -6,7 +6,6 @@ scene as it was.  Between two steps only names are kept: an undo kills pointers.
 
 from collections.abc import Generator, Sequence
 from dataclasses import replace
-from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +22,12 @@ from . import (
     scene,
     scene_occluders,
     stamp,
+    textures,
     world,
     world_file,
     writeback,
 )
+from .atlas_files import Target
 from .prt import job as jobs
 from .prt import layout as layouts
 from .prt.errors import BakeError
@@ -34,10 +35,12 @@ from .prt.layout import Layout
 from .prt.light import residual
 from .prt.light.projection import world_sh
 from .prt.results import ReceiverResult, Results
+from .prt.tiles import largest_size, tile_grid
 from .world import WorldLight
 
 Report = dict[str, Any]
 Steps = Generator[jobs.Progress, None, Report]
+VERTICES = Target()
 
 
 def bake(
@@ -45,19 +48,23 @@ def bake(
     object_names: Sequence[str],
     settings: jobs.Settings,
     hdri: str | None = None,
+    target: Target = VERTICES,
 ) -> Steps:
-    """Bake the objects and light them; the report is the generator's value, with what the artist
-    should know in ``notes``, one sentence each.
+    """Bake the objects to ``target`` and light them; the report is the generator's value, with what
+    the artist should know in ``notes``, one sentence each.
 
     ``hdri`` names an image that becomes the scene's world with the result; a cubemap, which no
     world can show, only lights the bake.
     """
     with engine.job_folder() as folder:
         objects = _objects(object_names)
-        receivers = scene.check_objects(objects)
+        target.check()
+        receivers = textures.receivers(objects, scene.check_objects(objects), target)
         least, most = _possible(bpy.data.scenes[scene_name], settings, hdri)
-        writeback.check(bpy.data.scenes[scene_name], objects, most, least)
-        notes = writeback.notes(bpy.data.scenes[scene_name], objects)
+        carriers = [receiver.carrier for receiver in receivers]
+        writeback.check(bpy.data.scenes[scene_name], objects, most, least, carriers)
+        largest = _largest_image(settings, most) if target.carrier != "vertex" else 0
+        notes = writeback.notes(bpy.data.scenes[scene_name], objects, largest)
         stamps = [
             _stamp(obj, most, receiver.domain)
             for obj, receiver in zip(objects, receivers, strict=True)
@@ -66,14 +73,15 @@ def bake(
         settings = replace(settings, residual=most.turns > 0, peaks=most.lights)
         job, light = _read(scene_name, receivers, settings, hdri, folder)
         results = yield from engine.run(job, folder)
-    is_cubemap = results.report["light"]["projection"] == "cubemap"
-    state = _light_state(light, results, follows=light.follows and not is_cubemap)
-    if hdri is None or is_cubemap:
-        _write(scene_name, results, stamps, state)
-    else:
-        with world_file.made(hdri) as its_world:
-            _write(scene_name, results, stamps, state)
-        bpy.data.scenes[scene_name].world = its_world
+        is_cubemap = results.report["light"]["projection"] == "cubemap"
+        state = _light_state(light, results, follows=light.follows and not is_cubemap)
+        with textures.images(results, target) as images:
+            if hdri is None or is_cubemap:
+                _write(scene_name, results, stamps, state, images)
+            else:
+                with world_file.made(hdri) as its_world:
+                    _write(scene_name, results, stamps, state, images)
+                bpy.data.scenes[scene_name].world = its_world
     notes += map(figures.another_light, _take_as_baked(scene_name, state, object_names))
     return {**results.report, "notes": notes}
 
@@ -88,7 +96,10 @@ def verify(scene_name: str, object_names: Sequence[str], settings: jobs.Settings
     if any(mark.order != order for mark in marks):
         raise BakeError("The objects were baked with different orders: verify one order at a time")
     state = light_state.read(bpy.data.scenes[scene_name])
-    receivers = tuple(map(_with_what_is_shown, receivers, objects, marks, repeat(state)))
+    receivers = tuple(
+        _with_what_is_shown(*one, state, settings)
+        for one in zip(receivers, objects, marks, strict=True)
+    )
     with engine.job_folder() as folder:
         yield jobs.Progress("scene", 0.0)
         job = _verify_job(scene_name, receivers, replace(settings, order=order), folder)
@@ -144,6 +155,19 @@ def _possible(
     return Layout(1 if may_be_cut else settings.order, 1, turns), most
 
 
+def _largest_image(settings: jobs.Settings, most: Layout) -> int:
+    """The side of the image of an atlas, at most, where it is not given by a density; BakeError
+    where graphics cards take none so large."""
+    count = len(most.attributes)
+    side = 0 if settings.texel_density else settings.resolution
+    if side > largest_size(count):
+        raise BakeError(
+            f"A texture of {side} x {side} with {most} is larger than graphics cards take: "
+            f"choose at most {largest_size(count)}, or a lower order"
+        )
+    return side * max(tile_grid(count))
+
+
 def _read(
     scene_name: str,
     receivers: tuple[jobs.Receiver, ...],
@@ -193,10 +217,15 @@ def _with_what_is_shown(
     obj: bpy.types.Object,
     mark: stamp.Stamp,
     state: light_state.LightState | None,
+    settings: jobs.Settings,
 ) -> jobs.Receiver:
     """``receiver`` with the transfer that it shows, and one residual: all that it shows besides,
     under the light of ``state``."""
-    values = attributes.read(obj, mark)
+    if mark.in_atlas:
+        count, seed = settings.verify_points, settings.seed
+        receiver, values = textures.with_what_is_shown(receiver, obj, mark, count, seed)
+    else:
+        values = attributes.read(obj, mark)
     if state is None or not mark.beyond_transfer:
         return replace(receiver, transfer=values.transfer)
     terms = light_state.terms(state, mark.packing)
@@ -229,8 +258,9 @@ def _write(
     results: Results,
     stamps: list[stamp.Stamp],
     state: light_state.LightState,
+    images: Sequence[bpy.types.Image],
 ) -> None:
-    """Put every result on its object, all or none."""
+    """Put every result on its object, all or none; ``images`` are the atlases."""
     objects = _objects([result.name for result in results.receivers])
     layout = layouts.covering(results.receivers)
     marks = [
@@ -240,7 +270,7 @@ def _write(
         )
     ]
     baked = list(zip(objects, results.receivers, marks, strict=True))
-    writeback.write(bpy.data.scenes[scene_name], baked, layout)
+    writeback.write(bpy.data.scenes[scene_name], baked, layout, images)
 
 
 def _figures(
@@ -251,7 +281,14 @@ def _figures(
     state: light_state.LightState,
 ) -> dict[str, Any]:
     """What a stamp says of a bake that is done."""
+    in_atlas = result.in_atlas is not None
+    placed = {"carrier": "vertex"}
+    if in_atlas:
+        names = ("carrier", "atlas_size", "uv_key", "own_uvs")
+        placed = {"domain": "CORNER", **{name: entry[name] for name in names}}
     return {
+        **placed,
+        "why": figures.why(placed["carrier"], entry["predicted"]) if "predicted" in entry else "",
         "order": layout.order,
         "channels": layout.channels,
         "layout": layout.slots,
@@ -259,8 +296,8 @@ def _figures(
         "points": entry["points"],
         "rays": round(entry.get("rays_per_point", report["settings"]["rays"])),
         "mrays_per_second": entry["mrays_per_second"],
-        "estimated_error": entry["estimated_error"],
-        "interpolation_error": entry.get("interpolation_error"),
+        "estimated_error": entry["surface_error" if in_atlas else "estimated_error"],
+        "interpolation_error": None if in_atlas else entry.get("interpolation_error"),
         "plain_error": _plain_error(layout, result, state),
         **_measured(entry["measured_error"]),
     }

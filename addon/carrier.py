@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from . import attributes, carrier_nodes
-from .prt.layout import Layout
 
 MODIFIER = "PRT Bake"
 TAG = "prt_carrier"
@@ -38,19 +37,15 @@ def ends_adaptive_subdivision(obj: bpy.types.Object) -> bool:
 
 
 def make(
-    obj: bpy.types.Object,
-    depsgraph: bpy.types.Depsgraph,
-    layout: Layout,
-    domain: str,
-    values: attributes.Values,
+    obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, stored: attributes.Stored
 ) -> bpy.types.Object:
-    """A carrier of ``values`` (E, 4 k) for ``obj``, which stays as it is until ``connect``."""
+    """A carrier of ``stored`` for ``obj``, which stays as it is until ``connect``."""
     mesh = bpy.data.meshes.new_from_object(obj.evaluated_get(depsgraph), depsgraph=depsgraph)
     mesh.name = f"{obj.name} PRT"
     mesh.materials.clear()
     for name in [a.name for a in mesh.attributes if not (a.is_required or a.is_internal)]:
         mesh.attributes.remove(mesh.attributes[name])
-    attributes.write(mesh, layout, domain, values)
+    attributes.put(mesh, stored)
     carrier = bpy.data.objects.new(mesh.name, mesh)
     carrier[TAG] = True
     return carrier
@@ -64,7 +59,7 @@ def connect(obj: bpy.types.Object, carrier: bpy.types.Object) -> None:
     modifier.show_expanded = False
     names = attributes.names(carrier.data)
     domain = carrier.data.attributes[names[0]].domain
-    modifier.node_group = carrier_nodes.group(domain, len(names))
+    modifier.node_group = carrier_nodes.group(domain, names)
     carrier_nodes.set_carrier(modifier, carrier)
     if active is not None:
         obj.modifiers.active = active

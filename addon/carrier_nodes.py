@@ -1,24 +1,28 @@
 """The geometry nodes that store a carrier's values on the object that wears the modifier."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import bpy
 
-from .prt.layout import PREFIX
+from . import uv_maps
 
 TAG = "prt_carrier_group"
 PULL = 0.01  # of the way from a corner to the middle of its face
+ACROSS = 3.0  # times as far as half way: not on the same chart
+COLOUR = ("FLOAT_COLOR", "FLOAT_COLOR", "RGBA")  # as it is stored, read, and switched between
+UVS = ("FLOAT2", "FLOAT_VECTOR", "VECTOR")
 COUNTS = {"POINT": "Point Count", "CORNER": "Face Corner Count"}
 
 
-def group(domain: str, count: int) -> bpy.types.NodeTree:
-    """The group that stores ``count`` attributes on ``domain``; all objects alike share it."""
-    key = json.dumps([domain, count])
+def group(domain: str, names: Sequence[str]) -> bpy.types.NodeTree:
+    """The group that stores the attributes ``names`` on ``domain``; all objects alike share it."""
+    key = json.dumps([domain, uv_maps.NAME if uv_maps.NAME in names else len(names)])
     for tree in bpy.data.node_groups:
         if tree.get(TAG) == key:
             return tree
-    return _build(domain, count, key)
+    return _build(domain, names, key)
 
 
 def is_ours(modifier: bpy.types.Modifier) -> bool:
@@ -64,17 +68,15 @@ def _identifier(tree: bpy.types.NodeTree) -> str:
 
 @dataclass(frozen=True)
 class _Source:
-    """Where the values come from: the carrier's geometry, a number above 0 where it has not as
-    many elements of ``domain`` as what is shown, and where to look for its nearest surface, which
-    is the element's own place where that is None."""
+    """Where the values come from: the carrier's geometry, and a number above 0 where it has not as
+    many elements of ``domain`` as what is shown."""
 
     domain: str
     geometry: bpy.types.NodeSocket
     differ: bpy.types.NodeSocket
-    place: bpy.types.NodeSocket | None
 
 
-def _build(domain: str, count: int, key: str) -> bpy.types.NodeTree:
+def _build(domain: str, names: Sequence[str], key: str) -> bpy.types.NodeTree:
     tree = bpy.data.node_groups.new("PRT Bake", "GeometryNodeTree")
     tree[TAG] = key
     face = tree.interface
@@ -86,11 +88,10 @@ def _build(domain: str, count: int, key: str) -> bpy.types.NodeTree:
     tree.links.new(inside.outputs["Carrier"], info.inputs["Object"])
     geometry, carrier = inside.outputs["Geometry"], info.outputs["Geometry"]
     differ = _counts_differ(tree, geometry, carrier, COUNTS[domain])
-    place = _inside_face(tree) if domain == "CORNER" else None
-    source = _Source(domain, carrier, differ, place)
-    for column in range(count):
-        geometry = _stored(tree, geometry, source, column)
-    outside = _node(tree, "NodeGroupOutput", 300 + 220 * count, 0)
+    source = _Source(domain, carrier, differ)
+    for column, name in enumerate(names):
+        geometry = _stored(tree, geometry, source, name, 220 * column)
+    outside = _node(tree, "NodeGroupOutput", 300 + 220 * len(names), 0)
     tree.links.new(geometry, outside.inputs["Geometry"])
     return tree
 
@@ -112,15 +113,14 @@ def _counts_differ(
     return absolute.outputs[0]
 
 
-def _inside_face(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
-    """A corner's place pulled a little into its face, so that the nearest surface is not the one
-    across a sharp edge."""
+def _inside_face(tree: bpy.types.NodeTree, share: float) -> bpy.types.NodeSocket:
+    """A corner's place pulled into its face by ``share`` of the way to its middle."""
     position = _node(tree, "GeometryNodeInputPosition", -900, -800)
     centre = _node(tree, "GeometryNodeFieldOnDomain", -700, -900, data_type="FLOAT_VECTOR")
     centre.domain = "FACE"
     towards = _node(tree, "ShaderNodeVectorMath", -500, -900, operation="SUBTRACT")
     pulled = _node(tree, "ShaderNodeVectorMath", -300, -800, operation="MULTIPLY_ADD")
-    pulled.inputs[1].default_value = (PULL,) * 3
+    pulled.inputs[1].default_value = (share,) * 3
     tree.links.new(position.outputs[0], centre.inputs["Value"])
     tree.links.new(centre.outputs[0], towards.inputs[0])
     tree.links.new(position.outputs[0], towards.inputs[1])
@@ -130,37 +130,92 @@ def _inside_face(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
 
 
 def _stored(
-    tree: bpy.types.NodeTree, geometry: bpy.types.NodeSocket, source: _Source, column: int
+    tree: bpy.types.NodeTree, geometry: bpy.types.NodeSocket, source: _Source, name: str, x: float
 ) -> bpy.types.NodeSocket:
-    """``geometry`` with attribute number ``column`` of the source on it."""
-    store = _node(tree, "GeometryNodeStoreNamedAttribute", 220 * column, 200)
-    store.data_type, store.domain = "FLOAT_COLOR", source.domain
-    store.inputs["Name"].default_value = f"{PREFIX}{column}"
+    """``geometry`` with the source's attribute ``name`` on it."""
+    store = _node(tree, "GeometryNodeStoreNamedAttribute", x, 200)
+    store.data_type, store.domain = _types(name)[0], source.domain
+    store.inputs["Name"].default_value = name
     tree.links.new(geometry, store.inputs["Geometry"])
-    tree.links.new(_sampled(tree, source, column), store.inputs["Value"])
+    tree.links.new(_sampled(tree, source, name, x), store.inputs["Value"])
     return store.outputs["Geometry"]
 
 
-def _sampled(tree: bpy.types.NodeTree, source: _Source, column: int) -> bpy.types.NodeSocket:
-    """The source's attribute: by index, or from its nearest surface."""
-    x = 220 * column
-    named = _node(tree, "GeometryNodeInputNamedAttribute", x, -1100, data_type="FLOAT_COLOR")
-    named.inputs["Name"].default_value = f"{PREFIX}{column}"
-    by_index = _node(tree, "GeometryNodeSampleIndex", x, -550, data_type="FLOAT_COLOR")
+def _types(name: str) -> tuple[str, str, str]:
+    return UVS if name == uv_maps.NAME else COLOUR
+
+
+def _sampled(
+    tree: bpy.types.NodeTree, source: _Source, name: str, x: float
+) -> bpy.types.NodeSocket:
+    """The source's attribute ``name``: by index, or from its nearest surface."""
+    _, kind, switched = _types(name)
+    named = _node(tree, "GeometryNodeInputNamedAttribute", x, -1100, data_type=kind)
+    named.inputs["Name"].default_value = name
+    by_index = _node(tree, "GeometryNodeSampleIndex", x, -550, data_type=kind)
     by_index.domain = source.domain
     index = _node(tree, "GeometryNodeInputIndex", x, -450)
-    nearest = _node(tree, "GeometryNodeSampleNearestSurface", x, -800, data_type="FLOAT_COLOR")
-    switch = _node(tree, "GeometryNodeSwitch", x, -200, input_type="RGBA")
+    switch = _node(tree, "GeometryNodeSwitch", x, -200, input_type=switched)
+    value = named.outputs["Attribute"]
     tree.links.new(index.outputs["Index"], by_index.inputs["Index"])
     tree.links.new(source.geometry, by_index.inputs["Geometry"])
-    tree.links.new(source.geometry, nearest.inputs["Mesh"])
-    if source.place is not None:
-        tree.links.new(source.place, nearest.inputs["Sample Position"])
-    for sampler in (by_index, nearest):
-        tree.links.new(named.outputs["Attribute"], sampler.inputs["Value"])
+    tree.links.new(value, by_index.inputs["Value"])
     tree.links.new(source.differ, switch.inputs["Switch"])
     tree.links.new(by_index.outputs["Value"], switch.inputs["False"])
-    tree.links.new(nearest.outputs["Value"], switch.inputs["True"])
+    nearest = _uvs_nearby if name == uv_maps.NAME else _nearest
+    tree.links.new(nearest(tree, source, value, x), switch.inputs["True"])
+    return switch.outputs["Output"]
+
+
+def _nearest(
+    tree: bpy.types.NodeTree,
+    source: _Source,
+    value: bpy.types.NodeSocket,
+    x: float,
+    share: float = PULL,
+) -> bpy.types.NodeSocket:
+    """``value`` on the nearest surface of the source.  From a corner it is looked for a ``share``
+    of the way into its face, so that it is not found across a sharp edge."""
+    kind = UVS[1] if value.type == "VECTOR" else COLOUR[1]
+    nearest = _node(tree, "GeometryNodeSampleNearestSurface", x, -800, data_type=kind)
+    tree.links.new(source.geometry, nearest.inputs["Mesh"])
+    tree.links.new(value, nearest.inputs["Value"])
+    if source.domain == "CORNER":
+        tree.links.new(_inside_face(tree, share), nearest.inputs["Sample Position"])
+    return nearest.outputs["Value"]
+
+
+def _uvs_nearby(
+    tree: bpy.types.NodeTree, source: _Source, value: bpy.types.NodeSocket, x: float
+) -> bpy.types.NodeSocket:
+    """UVs of the nearest surface.  Where a corner lies beside a seam, another chart may be nearer:
+    then its face's middle, and what lies half way there, tell where its own chart goes on."""
+    corner, half, middle = (_nearest(tree, source, value, x, share) for share in (PULL, 0.5, 1))
+    vectors = [
+        _node(tree, "ShaderNodeVectorMath", x, -1300 - 150 * row, operation="SUBTRACT")
+        for row in range(2)
+    ]
+    lengths = []
+    for node, end in zip(vectors, (corner, half), strict=True):
+        tree.links.new(end, node.inputs[0])
+        tree.links.new(middle, node.inputs[1])
+        length = _node(tree, "ShaderNodeVectorMath", x, -1600, operation="LENGTH")
+        tree.links.new(node.outputs[0], length.inputs[0])
+        lengths.append(length.outputs["Value"])
+    bound = _node(tree, "ShaderNodeMath", x, -1700, operation="MULTIPLY")
+    bound.inputs[1].default_value = ACROSS
+    tree.links.new(lengths[1], bound.inputs[0])
+    is_across = _node(tree, "ShaderNodeMath", x, -1800, operation="GREATER_THAN")
+    tree.links.new(lengths[0], is_across.inputs[0])
+    tree.links.new(bound.outputs[0], is_across.inputs[1])
+    further = _node(tree, "ShaderNodeVectorMath", x, -1900, operation="MULTIPLY_ADD")
+    further.inputs[1].default_value = (2, 2, 2)
+    tree.links.new(vectors[1].outputs[0], further.inputs[0])
+    tree.links.new(middle, further.inputs[2])
+    switch = _node(tree, "GeometryNodeSwitch", x, -2000, input_type="VECTOR")
+    tree.links.new(is_across.outputs[0], switch.inputs["Switch"])
+    tree.links.new(corner, switch.inputs["False"])
+    tree.links.new(further.outputs[0], switch.inputs["True"])
     return switch.outputs["Output"]
 
 

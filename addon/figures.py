@@ -12,7 +12,11 @@ PHASES = {
     "light": "Reading the light",
     "prepare": "Preparing the scene",
     "effort": "Finding how many rays it takes",
+    "choose": "Choosing between vertices and texture",
+    "unwrap": "Unwrapping",
     "transfer": "Tracing",
+    "fill": "Filling the texture",
+    "write": "Writing the texture",
     "verify": "Tracing again to verify",
 }
 
@@ -55,7 +59,8 @@ def progress_line(progress: Progress) -> str:
 def stamp_lines(stamp: Stamp) -> list[str]:
     """What a bake says of itself: size, speed, and its errors where they are known."""
     return [
-        f"order {stamp.order}, {stamp.points:,} points",
+        f"order {stamp.order}, {_size(stamp)}",
+        *([stamp.why] if stamp.why else []),
         f"{stamp.rays:,} rays a point, {_speed([stamp])}",
         *_errors([stamp]),
     ]
@@ -72,9 +77,34 @@ def summary_lines(stamps: list[Stamp]) -> list[str]:
 def advice(stamp: Stamp) -> str | None:
     """What would make a bake better where more rays would not."""
     noise, mesh = _noise(stamp), _mesh_error(stamp)
-    if noise is None or mesh is None or mesh < max(COARSE, 1.5 * noise):
+    if stamp.in_atlas or noise is None or mesh is None or mesh < max(COARSE, 1.5 * noise):
         return None
-    return f"{percent(mesh)} because the mesh is coarse: subdivide it where shadows fall"
+    return (
+        f"{percent(mesh)} because the mesh is coarse: subdivide it where shadows fall, or bake to "
+        "a texture"
+    )
+
+
+def why(carrier: str, predicted: dict[str, float]) -> str:
+    """Why a bake is on vertices or in a texture, from what was predicted of both."""
+    errors = [percent(predicted[f"{one}_error"]) for one in ("vertex", "texture")]
+    sizes = [megabytes(predicted[f"{one}_bytes"]) for one in ("vertex", "texture")]
+    if carrier == "vertex":
+        here, there, other = 0, 1, "in a texture"
+    else:
+        here, there, other = 1, 0, "between vertices"
+    return (
+        f"{carrier} chosen: {errors[here]} error in {sizes[here]}, {other} {errors[there]} in "
+        f"{sizes[there]}, predicted"
+    )
+
+
+def megabytes(size: float) -> str:
+    """Bytes as '12 kB', '0.2 MB' or '48 MB'."""
+    value = size / 1e6
+    if value < 0.1:
+        return f"{max(1, round(size / 1e3))} kB"
+    return f"{value:.0f} MB" if value >= 9.95 else f"{value:.1f} MB"
 
 
 def another_light(name: str) -> str:
@@ -83,6 +113,13 @@ def another_light(name: str) -> str:
         f"{name!r} was baked under another world and shows soft shadows alone: "
         "bake it again for sharp ones"
     )
+
+
+def _size(stamp: Stamp) -> str:
+    """How many points or texels."""
+    if stamp.in_atlas:
+        return f"{stamp.points:,} texels of {stamp.atlas_size} x {stamp.atlas_size}"
+    return f"{stamp.points:,} points"
 
 
 def _mrays(stamp: Stamp) -> float:
@@ -105,8 +142,11 @@ def _errors(stamps: list[Stamp]) -> list[str]:
 
 def _transfer_errors(stamps: list[Stamp]) -> list[str]:
     """Noise, and what the mesh loses between its vertices: estimated, and measured."""
-    noise, between = _worst(stamps, "estimated_error"), _worst(stamps, "interpolation_error")
-    lines = []
+    on_vertices = [stamp for stamp in stamps if not stamp.in_atlas]
+    in_textures = [stamp for stamp in stamps if stamp.in_atlas]
+    noise = _worst(on_vertices, "estimated_error")
+    between, texture = _worst(stamps, "interpolation_error"), _worst(in_textures, "estimated_error")
+    lines = [f"{percent(texture)} error of the texture, estimated"] if texture is not None else []
     if noise is not None:
         tail = f" and {percent(between)} between the vertices" if between is not None else ""
         lines.append(f"{percent(noise)} noise{tail}, estimated")

@@ -34,9 +34,20 @@ Settings = dict[str, Any]
 
 
 def shown_bakes() -> dict[bpy.types.Object, stamp.Stamp]:
-    """The objects of this file whose bake is shown: baked, and not stale."""
+    """The objects of this file whose bake is shown and lies on vertices: baked, and not stale."""
     stamps = {obj: stamp.read(obj) for obj in bpy.data.objects if obj.get(stamp.SWITCH) == 1.0}
-    return {obj: found for obj, found in stamps.items() if found is not None}
+    return {o: found for o, found in stamps.items() if found is not None and not found.in_atlas}
+
+
+def in_textures(objects: Iterable[bpy.types.Object]) -> list[str]:
+    """The names of those of ``objects`` whose bakes lie in textures, which no .glb takes yet."""
+    stamps = ((obj.name, stamp.read(obj)) for obj in objects)
+    return sorted(name for name, found in stamps if found is not None and found.in_atlas)
+
+
+def left_in_textures(names: list[str]) -> str:
+    """What to say of these."""
+    return f"Left out the bake of {', '.join(names)}: bakes in textures do not go into glTF yet"
 
 
 class glTF2ExportUserExtension:  # the exporter looks for this name
@@ -114,9 +125,13 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         frame = gltf_frame.Y_UP if settings["gltf_yup"] else gltf_frame.Z_UP
         nodes = [n for n in settings["vtree"].nodes.values() if n.node and n.node.mesh]
         matrices = self._matrices(nodes, gltf_frame.world_matrices(scene.nodes), frame)
-        left_out = {n.blender_object.name for n in nodes if not self._dress(n, matrices, frame)}
-        if left_out and not settings.get("gltf_draco_mesh_compression"):
-            names = ", ".join(sorted(left_out))
+        left_out = {n.blender_object for n in nodes if not self._dress(n, matrices, frame)}
+        textured = in_textures(left_out)
+        stale = sorted({obj.name for obj in left_out} - set(textured))
+        if textured:
+            _warn(settings, left_in_textures(textured))
+        if stale and not settings.get("gltf_draco_mesh_compression"):
+            names = ", ".join(stale)
             _warn(settings, f"Left out the bake of {names}: it is out of date, bake again")
         scene.extras = _without_ours(scene.extras)
         light = self._lights.get(blender_scene.name)

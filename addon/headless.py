@@ -12,7 +12,8 @@ from typing import Any
 
 import bpy
 
-from . import bake, figures, gltf_export, gltf_panel, outputs, properties, scene, selection
+from . import bake, figures, gltf, gltf_export, gltf_panel, outputs, properties, scene, selection
+from .atlas_files import Target
 from .options import Options
 from .progress_lines import ProgressLines
 from .prt.errors import BakeError
@@ -29,6 +30,10 @@ SETTINGS = (
     "final_light",
     "seed",
     "threads",
+    "resolution",
+    "texel_density",
+    "shared_atlas",
+    "half",
 )
 
 
@@ -74,7 +79,8 @@ def _run(asked: Options, check: Callable[[], None]) -> None:
     world = str(Path(asked.world).absolute()) if asked.world else None
     if not asked.outputs:
         sys.stderr.write("Nothing will be written: --save, --gltf and --report do\n")
-    report = _finish(bake.bake(current.name, names, settings, world), check)
+    target = _target(current, asked)
+    report = _finish(bake.bake(current.name, names, settings, world, target), check)
     sys.stderr.writelines(f"{note}\n" for note in report["notes"])
     report["lamps_left_out"] = _lamps(current)
     with outputs.staged(asked.outputs) as places:
@@ -84,6 +90,16 @@ def _run(asked: Options, check: Callable[[], None]) -> None:
         for stamp in selection.stamps([name]):
             lines = [*figures.stamp_lines(stamp), *filter(None, [figures.advice(stamp)])]
             sys.stdout.write(f"{name}: {', '.join(lines)}\n")
+
+
+def _target(current: bpy.types.Scene, asked: Options) -> Target:
+    """Where the bake goes: textures lie beside the .blend that is saved, and in it where none is
+    and no folder is named."""
+    chosen = properties.target(current)
+    carrier, folder, stem = asked.carrier or chosen.carrier, asked.images, chosen.stem
+    if asked.save is not None:
+        folder, stem = folder or asked.save.parent, asked.save.stem
+    return Target(carrier, None if asked.pack else folder and folder.absolute(), stem)
 
 
 def _lamps(current: bpy.types.Scene) -> list[str]:
@@ -112,6 +128,8 @@ def _settings(current: bpy.types.Scene, asked: Options) -> Settings:
     chosen = {name: value for name, value in given.items() if value is not None}
     if "rays" in chosen:
         chosen["tolerance"] = 0.0
+    if "resolution" in chosen:
+        chosen["texel_density"] = 0.0
     if "turns" in chosen:
         chosen["residual"] = True
     if not asked.cache:
@@ -136,7 +154,10 @@ def _write(asked: Options, places: dict[Path, Path], names: list[str], report: R
         _save(asked.save, places[asked.save])
     if asked.gltf:
         with gltf_panel.chosen(bpy.context.scene, asked.gltf_short):
-            gltf_export.write(str(places[asked.gltf]), names)
+            textured = gltf.in_textures(bpy.data.objects[name] for name in names)
+            if textured:
+                sys.stderr.write(f"{gltf.left_in_textures(textured)}\n")
+            gltf_export.write(str(places[asked.gltf]), [n for n in names if n not in textured])
     if asked.report:
         text = json.dumps(report, indent=2, ensure_ascii=False)
         places[asked.report].write_text(f"{text}\n", encoding="utf-8")

@@ -12,6 +12,7 @@ from .material_plan import SHADING, SURFACE, TAG, Plan
 from .prt.layout import Layout
 
 STATE = "prt_bake"  # JSON: what the tree was made of, and what detach has to restore
+ATLAS = "prt_image"  # the image that is shown, where the bake is in one
 
 
 def of(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Material]:
@@ -22,8 +23,11 @@ def of(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[bpy.types.
     return [material for material in dict.fromkeys(found) if material is not None]
 
 
-def attach(material: bpy.types.Material, layout: Layout) -> None:
-    """Let ``material`` show bakes of ``layout`` in EEVEE; the artist's nodes stay as they are."""
+def attach(
+    material: bpy.types.Material, layout: Layout, image: bpy.types.Image | None = None
+) -> None:
+    """Let ``material`` show bakes of ``layout`` in EEVEE, on vertices or in ``image``; the artist's
+    nodes stay as they are."""
     detach(material)
     state = {
         "layout": asdict(layout),
@@ -35,12 +39,14 @@ def attach(material: bpy.types.Material, layout: Layout) -> None:
     tree = material.node_tree
     plan = material_plan.read(tree)
     theirs = material_plan.artist_output(tree)
-    ours = shading_tree.build(tree, plan, layout)
+    ours = shading_tree.build(tree, plan, layout, image)
     if theirs is not None and theirs.target == "EEVEE":
         state["active"] = _active_output(tree)
         ours.is_active_output = True
     state["structure"] = _structure(plan)
     material[STATE] = json.dumps(state)
+    if image is not None:
+        material[ATLAS] = image
 
 
 def detach(material: bpy.types.Material) -> None:
@@ -57,12 +63,19 @@ def detach(material: bpy.types.Material) -> None:
     if not state["had_nodes"]:
         default_surface.take(material)
     del material[STATE]
+    if ATLAS in material:
+        del material[ATLAS]
 
 
 def layout_of(material: bpy.types.Material) -> Layout | None:
     """The layout that ``material`` shows; None where it shows no bake."""
     state = _state(material)
     return Layout.of(state["layout"]) if state else None
+
+
+def image_of(material: bpy.types.Material) -> bpy.types.Image | None:
+    """The image that ``material`` shows; None where it shows vertices, or no bake."""
+    return material.get(ATLAS)
 
 
 def attached() -> list[bpy.types.Material]:
@@ -81,7 +94,7 @@ def refresh(material: bpy.types.Material, depsgraph: bpy.types.Depsgraph) -> boo
     whole = shading_tree.is_whole(tree, plan)
     if whole and state["structure"] == _structure(plan):
         return shading_tree.sync(tree, plan)
-    attach(material, Layout.of(state["layout"]))
+    attach(material, Layout.of(state["layout"]), image_of(material))
     return True
 
 

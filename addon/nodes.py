@@ -1,7 +1,7 @@
 """The node group *PRT Shading*: what is baked times the light that it holds.
 
-One group for each layout in use, and one light for all of them.  Inputs: Base Color.  Outputs:
-Shader, an emission, and Exit Radiance, its colour (W sr⁻¹ m⁻², base colour included, never
+One group for each layout and atlas in use, and one light for all of them.  Input: Base Color.
+Outputs: Shader, an emission, and Exit Radiance, its colour (W sr⁻¹ m⁻², base colour included, never
 negative).  The light's numbers are the values of nodes: ``L i`` its coefficients, ``R k`` the
 weights of the residuals, ``S j`` the lights cut out and ``P i`` what they take from the transfer.
 The object's ``prt_exact`` says how much of all but the ``L i`` it shows.
@@ -14,20 +14,23 @@ from dataclasses import asdict
 import bpy
 import numpy as np
 
-from . import light_state, stamp
+from . import light_state, node_values, stamp
 from .light_state import LightState
 from .prt.layout import Layout
 
 NAME = "PRT Shading"
 TAG = "prt_layout"
+ATLAS = "prt_image"  # the image that a group reads, where it reads one
 Socket = bpy.types.NodeSocket
 Named = list[tuple[str, Socket]]
 
 
-def group(layout: Layout) -> bpy.types.NodeTree:
-    """The group that shades bakes of ``layout``, made where there is none yet."""
-    found = next((tree for tree in groups() if layout_of(tree) == layout), None)
-    return found or _build(layout)
+def group(layout: Layout, image: bpy.types.Image | None = None) -> bpy.types.NodeTree:
+    """The group that shades bakes of ``layout`` on vertices, or in ``image``, made where there is
+    none yet."""
+    alike = (tree for tree in groups() if tree.get(ATLAS) == image)
+    found = next((tree for tree in alike if layout_of(tree) == layout), None)
+    return found or _build(layout, image)
 
 
 def groups() -> list[bpy.types.NodeTree]:
@@ -36,7 +39,7 @@ def groups() -> list[bpy.types.NodeTree]:
 
 
 def layout_of(tree: bpy.types.NodeTree) -> Layout:
-    """The layout of the attributes that the group reads."""
+    """The layout of the attributes or tiles that the group reads."""
     return Layout.of(json.loads(tree[TAG]))
 
 
@@ -78,18 +81,22 @@ def _values(layout: Layout, light: LightState) -> Iterator[tuple[str, np.ndarray
             yield f"{letter}{i}", value
 
 
-def _build(layout: Layout) -> bpy.types.NodeTree:
+def _build(layout: Layout, image: bpy.types.Image | None) -> bpy.types.NodeTree:
     name = f"{NAME} ({layout})" if NAME in bpy.data.node_groups else NAME
     tree = bpy.data.node_groups.new(name, "ShaderNodeTree")
     tree[TAG] = json.dumps(asdict(layout))
+    if image is not None:
+        tree[ATLAS] = image
     _interface(tree)
-    _shade(tree, _exit_radiance(tree, layout), layout.order**2)
+    _shade(tree, _exit_radiance(tree, layout, image), layout.order**2)
     return tree
 
 
-def _exit_radiance(tree: bpy.types.NodeTree, layout: Layout) -> Socket:
+def _exit_radiance(
+    tree: bpy.types.NodeTree, layout: Layout, image: bpy.types.Image | None
+) -> Socket:
     """Of a white surface, not clamped yet."""
-    floats = iter(_floats(tree, layout))
+    floats = iter(node_values.floats(tree, layout, image))
     width, rows = (1 if layout.channels == 1 else 3), iter(range(100))
 
     def stored(letter: str, count: int, width: int) -> Named:
@@ -120,19 +127,6 @@ def _interface(tree: bpy.types.NodeTree) -> None:
     colour.default_value = (1, 1, 1, 1)
     face.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
     face.new_socket("Exit Radiance", in_out="OUTPUT", socket_type="NodeSocketColor")
-
-
-def _floats(tree: bpy.types.NodeTree, layout: Layout) -> list[Socket]:
-    """Every float that the layout uses.  An alpha that is not used stays unread: where the
-    attribute is missing it is 1."""
-    floats: list[Socket] = []
-    for row, name in enumerate(layout.attributes):
-        attribute = _node(tree, "ShaderNodeAttribute", -700, -220 * row)
-        attribute.attribute_type, attribute.attribute_name = "GEOMETRY", name
-        separate = _node(tree, "ShaderNodeSeparateXYZ", -500, -220 * row)
-        tree.links.new(attribute.outputs["Vector"], separate.inputs[0])
-        floats += [*separate.outputs, attribute.outputs["Alpha"]]
-    return [socket for socket, name in zip(floats, layout.slots, strict=True) if name]
 
 
 def _joined(tree: bpy.types.NodeTree, floats: list[Socket], row: int) -> Socket:

@@ -21,6 +21,13 @@ class Options:
 
     blend: Path | None
     objects: list[str]
+    carrier: str | None
+    resolution: int | None
+    texel_density: float | None
+    shared_atlas: bool | None
+    half: bool | None
+    images: Path | None
+    pack: bool | None
     order: int | None
     rays: int | None
     tolerance: float | None
@@ -97,9 +104,8 @@ def _add_what(parser: _Parser) -> None:
 def _add_how(parser: _Parser) -> None:
     add = parser.add_argument
     carriers = ("vertex", "texture", "auto")
-    add("--carrier", choices=carriers, default="vertex", help="where to; so far vertex alone")
-    add("--resolution", type=_whole(16, 16384), metavar="N", help=f"of a texture {LATER}")
-    add("--texel-density", type=_positive, metavar="D", help=f"texels a metre {LATER}")
+    add("--carrier", choices=carriers, help="where to; auto: the smaller that is good enough")
+    _add_textures(parser)
     add("--order", type=_whole(2, 5), metavar="N", help="bands of the light, 2 to 5")
     add("--bounces", type=_whole(0, 16), default=0, metavar="K", help=f"0: shadows only {LATER}")
     effort = parser.add_mutually_exclusive_group()
@@ -111,6 +117,31 @@ def _add_how(parser: _Parser) -> None:
     add("--seed", type=_whole(0, 2**31 - 1), metavar="N", help="same seed, same result")
     add("--threads", type=_whole(0, 1024), metavar="N", help="0: every core")
     add("--no-cache", action="store_false", dest="cache", help="trace all again, keep nothing")
+
+
+def _add_textures(parser: _Parser) -> None:
+    """How large textures are, and where they go."""
+    add, size = parser.add_argument, parser.add_mutually_exclusive_group()
+    size.add_argument("--resolution", type=_side, metavar="N", help="texels along a texture's side")
+    size.add_argument("--texel-density", type=_positive, metavar="D", help="texels a metre instead")
+    add(
+        "--own-textures",
+        action="store_const",
+        const=False,
+        dest="shared_atlas",
+        help="one for each object, or for those that share materials; default: one for all",
+    )
+    add("--half", action="store_const", const=True, help="half floats: smaller files, 0.1%% off")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--images",
+        type=Path,
+        metavar="FOLDER",
+        help="where textures go; default: beside what --save writes",
+    )
+    where.add_argument(
+        "--pack", action="store_const", const=True, help="keep textures inside the .blend"
+    )
 
 
 def _add_exact(parser: _Parser) -> None:
@@ -154,9 +185,6 @@ def _add_where(parser: _Parser) -> None:
 def _refuse_later(found: argparse.Namespace) -> None:
     """Refuse what this version cannot do."""
     asked = {
-        f"--carrier {found.carrier}": found.carrier != "vertex",
-        "--resolution": found.resolution is not None,
-        "--texel-density": found.texel_density is not None,
         f"--bounces {found.bounces}": found.bounces > 0,
     }
     for option, wanted in asked.items():
@@ -176,6 +204,15 @@ def _whole(smallest: int, largest: int) -> Callable[[str], int]:
         return value
 
     return number
+
+
+def _side(text: str) -> int:
+    """A texture's side: a power of two."""
+    value = _whole(16, 16384)(text)
+    if value & (value - 1):
+        message = f"{text!r} is no power of two: graphics cards halve textures again and again"
+        raise argparse.ArgumentTypeError(message)
+    return value
 
 
 def _share(text: str) -> float:

@@ -1,8 +1,11 @@
 """The artist's settings, kept in the scene as ``scene.prt``."""
 
+from pathlib import Path
+
 import bpy
 
 from . import cache_folder
+from .atlas_files import Target
 from .prt.job import Settings
 
 VERIFY_POINTS = 256  # of each object, traced again by brute force: enough to tell 1 % from 1.1 %
@@ -90,6 +93,80 @@ class PRT_PG_settings(bpy.types.PropertyGroup):
         default=False,
         options=set(),
     )
+    carrier: bpy.props.EnumProperty(
+        name="Bake To",
+        description="Where the bake is kept",
+        items=(
+            ("VERTEX", "Vertices", "In vertex attributes: small, and as fine as the mesh"),
+            ("TEXTURE", "Texture", "In a texture with a UV map of its own: as fine as you like"),
+            ("AUTO", "Automatic", "For each object what is less wrong for its memory"),
+        ),
+        default="VERTEX",
+        options=set(),
+    )
+    size_by: bpy.props.EnumProperty(
+        name="Size by",
+        description="What decides how large a texture is",
+        items=(
+            ("RESOLUTION", "Resolution", "As large as you say"),
+            ("DENSITY", "Density", "As large as so many texels a metre take"),
+        ),
+        default="RESOLUTION",
+        options=set(),
+    )
+    resolution: bpy.props.EnumProperty(
+        name="Resolution",
+        description="Texels along a texture's side: twice as many show shadows half as small, and "
+        "take four times the memory and about three times as long",
+        items=tuple((str(n), f"{n} x {n}", "") for n in (256, 512, 1024, 2048, 4096)),
+        default="1024",
+        options=set(),
+    )
+    texel_density: bpy.props.FloatProperty(
+        name="Texels a Metre",
+        description="How fine a texture is; it becomes the next power of two that holds that",
+        default=100.0,
+        min=0.01,
+        max=1e5,
+        soft_min=1.0,
+        soft_max=1000.0,
+        options=set(),
+    )
+    shared_atlas: bpy.props.BoolProperty(
+        name="One for All",
+        description="All objects of a bake share one texture; else each has its own, but for those "
+        "that share materials",
+        default=True,
+        options=set(),
+    )
+    padding_mip: bpy.props.IntProperty(
+        name="Apart to Mip",
+        description="Up to which mip level, at which the texture is seen from far away, its pieces "
+        "stay apart: each level more doubles the gaps",
+        default=2,
+        min=0,
+        max=6,
+        options=set(),
+    )
+    half: bpy.props.BoolProperty(
+        name="Half Floats",
+        description="Store half floats: files half as large, off by 0.1 % at most",
+        default=False,
+        options=set(),
+    )
+    image_folder: bpy.props.StringProperty(
+        name="Folder",
+        description="Where textures are saved; // is the folder of the .blend",
+        default="//",
+        subtype="DIR_PATH",
+        options=set(),
+    )
+    pack_images: bpy.props.BoolProperty(
+        name="Pack into the .blend",
+        description="Keep textures inside the .blend; one that is not saved yet always does",
+        default=False,
+        options=set(),
+    )
     seed: bpy.props.IntProperty(
         name="Seed",
         description="Another seed gives other noise; the same seed gives the same bake",
@@ -119,11 +196,26 @@ def settings(scene: bpy.types.Scene, verify: bool = False) -> Settings:
         turns=chosen.turns,
         peaks=chosen.peaks,
         final_light=chosen.final_light,
+        resolution=int(chosen.resolution),
+        texel_density=chosen.texel_density if chosen.size_by == "DENSITY" else 0.0,
+        shared_atlas=chosen.shared_atlas,
+        padding_mip=chosen.padding_mip,
+        half=chosen.half,
         cache=cache_folder.path(),
         seed=chosen.seed,
         threads=chosen.threads,
         verify_points=VERIFY_POINTS if verify else 0,
     )
+
+
+def target(scene: bpy.types.Scene) -> Target:
+    """Where the artist wants the bake."""
+    chosen, saved = scene.prt, bpy.data.filepath
+    folder = None
+    if saved and not chosen.pack_images:
+        folder = Path(bpy.path.abspath(chosen.image_folder or "//"))
+    stem = Path(saved).stem if saved else "Untitled"
+    return Target(chosen.carrier.lower(), folder, stem)
 
 
 def register() -> None:

@@ -3,6 +3,7 @@
 import bpy
 
 from . import (
+    atlas_images,
     attributes,
     carrier,
     default_slots,
@@ -27,6 +28,7 @@ def remove(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> int:
     _free_materials(scene)
     carrier.free_unused()
     nodes.free_unused()
+    atlas_images.free_unused()
     default_surface.free_unused()
     if not stamp.baked_objects(scene):
         light_state.remove(scene)

@@ -24,13 +24,16 @@ KINDS = {
 }  # node type, inputs of its feeds, inputs of its parts
 
 
-def build(tree: bpy.types.NodeTree, plan: Plan, layout: Layout) -> bpy.types.Node:
-    """Add our nodes for ``plan``; returns the output, which is not active yet."""
+def build(
+    tree: bpy.types.NodeTree, plan: Plan, layout: Layout, image: bpy.types.Image | None = None
+) -> bpy.types.Node:
+    """Add our nodes for ``plan``, which show bakes of ``layout``, on vertices or in ``image``;
+    returns the output, which is not active yet."""
     frame = tree.nodes.new("NodeFrame")
     frame.name = frame.label = FRAME
     frame.location = _free_corner(tree)
     switch = Part("mix", "", (Feed(),), (plan.own, plan.surface))
-    made = _nodes(tree, frame, switch, layout)
+    made = _nodes(tree, frame, switch, nodes.group(layout, image))
     baked = _add(tree, frame, "ShaderNodeAttribute", -220, 220)
     baked.attribute_type, baked.attribute_name = "OBJECT", SWITCH
     tree.links.new(baked.outputs["Fac"], made[switch].inputs[0])
@@ -71,9 +74,9 @@ def is_whole(tree: bpy.types.NodeTree, plan: Plan) -> bool:
 
 
 def _nodes(
-    tree: bpy.types.NodeTree, frame: bpy.types.Node, switch: Part, layout: Layout
+    tree: bpy.types.NodeTree, frame: bpy.types.Node, switch: Part, group: bpy.types.NodeTree
 ) -> dict[Part, bpy.types.Node]:
-    """A node for each part, linked; equal parts share one."""
+    """A node for each part, linked; equal parts share one.  ``group`` shows the bake."""
     made: dict[Part, bpy.types.Node] = {}
     for place, part in enumerate((*_parts(switch.parts[1]), switch)):
         kind, feeds, parts = KINDS[part.kind]
@@ -83,7 +86,7 @@ def _nodes(
         else:
             node.name = _name(place)
         if part.kind == "prt":
-            node.node_tree = nodes.group(layout)
+            node.node_tree = group
         for index, feed in zip(feeds, part.feeds, strict=True):
             _apply(tree, node.inputs[index], feed)
         for index, below in zip(parts, part.parts, strict=True):

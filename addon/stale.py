@@ -1,13 +1,15 @@
 """A bake that no longer fits its object is switched off, and on again when it fits.
 
 An object is compared with the stamp of its bake: its place in the world and its own mesh, not its
-modifiers, shape keys or pose.
+modifiers, shape keys or pose; and its image with the bake that it says it is of, for a file may be
+gone, or be another bake's, after an undo or where two .blend files write to one.
 """
 
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
+from . import atlas_files, atlas_images
 from . import scene as scene_arrays
 from . import stamp as stamps
 from .stamp import Stamp
@@ -19,6 +21,8 @@ def reason(obj: bpy.types.Object, stamp: Stamp) -> str | None:
     """Why the bake of ``obj`` is not shown, one sentence; None where it is.  Looks at no vertex."""
     if _moved(obj, stamp):
         return f"{obj.name} has been moved, turned or scaled since its bake: bake it again"
+    if not _same_image(obj, stamp):
+        return f"The image of {obj.name} is gone or another bake's: bake it again"
     if not obj.get(stamps.SWITCH):
         return f"The mesh of {obj.name} has been edited since its bake: bake it again"
     return None
@@ -34,7 +38,8 @@ def _refresh(obj: bpy.types.Object) -> None:
     stamp = stamps.read(obj)
     if stamp is None or obj.data.is_editmode:
         return
-    stamps.switch(obj, on=not _moved(obj, stamp) and _same_mesh(obj, stamp))
+    fits = not _moved(obj, stamp) and _same_image(obj, stamp) and _same_mesh(obj, stamp)
+    stamps.switch(obj, on=fits)
 
 
 def _moved(obj: bpy.types.Object, stamp: Stamp) -> bool:
@@ -47,6 +52,18 @@ def _moved(obj: bpy.types.Object, stamp: Stamp) -> bool:
 
 def _reach(place: np.ndarray) -> float:
     return float(max(1.0, np.abs(place).max()))
+
+
+def _same_image(obj: bpy.types.Object, stamp: Stamp) -> bool:
+    """Whether the atlas that ``obj`` shows is there and of its bake."""
+    if not stamp.in_atlas:
+        return True
+    image = stamps.image_of(obj)
+    atlas = atlas_images.of(image) if image is not None else None
+    if image is None or atlas is None:
+        return False
+    path = atlas_files.path_of(image)
+    return path is None or atlas_files.job_hash(path) == atlas.job_hash
 
 
 def _same_mesh(obj: bpy.types.Object, stamp: Stamp) -> bool:
@@ -65,11 +82,29 @@ def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
             _refresh(obj)
 
 
+@persistent
+def _on_change(*_: object) -> None:
+    """Files change behind Blender's back: look when one is opened, and after undo and redo."""
+    for scene in bpy.data.scenes:
+        marked = ((obj, stamps.read(obj)) for obj in stamps.baked_objects(scene))
+        textured = [obj for obj, stamp in marked if stamp is not None and stamp.in_atlas]
+        if textured:
+            scene.view_layers[0].update()  # matrices are not there yet
+        for obj in textured:
+            _refresh(obj)
+
+
 def register() -> None:
     """Watch the baked objects."""
-    bpy.app.handlers.depsgraph_update_post.append(_on_update)
+    handlers = bpy.app.handlers
+    handlers.depsgraph_update_post.append(_on_update)
+    for changes in (handlers.load_post, handlers.undo_post, handlers.redo_post):
+        changes.append(_on_change)
 
 
 def unregister() -> None:
     """Watch them no more."""
-    bpy.app.handlers.depsgraph_update_post.remove(_on_update)
+    handlers = bpy.app.handlers
+    for changes in (handlers.redo_post, handlers.undo_post, handlers.load_post):
+        changes.remove(_on_change)
+    handlers.depsgraph_update_post.remove(_on_update)

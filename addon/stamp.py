@@ -19,16 +19,20 @@ from .prt.layout import Layout
 KEY = "prt_stamp"
 SWITCH = "prt_baked"
 EXACT = "prt_exact"
-MARKS = (KEY, SWITCH, EXACT)
-VERSION = 2
-READABLE = (1, VERSION)
+ATLAS = "prt_image"  # the image of an object whose bake is in one
+MARKS = (KEY, SWITCH, EXACT, ATLAS)
+VERSION = 3
+READABLE = (1, 2, VERSION)
 
 
 @dataclass(frozen=True)
 class Stamp:
     """``matrix`` is the object's world 3x3, column-major, and ``location`` its place when baked;
     ``mesh_signature`` names the mesh data that was baked; ``job_hash`` everything that decided the
-    result; ``rays`` are those a point.
+    result; ``rays`` are those a point; ``points`` are texels where the ``carrier`` is "texture",
+    in an atlas of ``atlas_size`` texels a side, and ``own_uvs`` says that its UV map is the
+    artist's, ``uv_key`` otherwise what atlas it was made for.  ``why`` this carrier was chosen,
+    where the artist left it open.
 
     Errors are relative RMS, None where unknown.  Of the transfer: ``estimated_error`` is its noise,
     ``interpolation_error`` what the mesh loses between its vertices, ``measured_error`` both, as
@@ -57,6 +61,10 @@ class Stamp:
     light_error: float | None = None
     light_at_bake: bool = True
     plain_error: float | None = None
+    atlas_size: int = 0
+    own_uvs: bool = False
+    uv_key: str = ""
+    why: str = ""
     version: int = VERSION
 
     @property
@@ -64,6 +72,11 @@ class Stamp:
         """The layout that its attributes have."""
         letters = Counter(name[:1] for name in self.layout)
         return Layout(self.order, self.channels, letters["R"] // 3, letters["S"])
+
+    @property
+    def in_atlas(self) -> bool:
+        """Whether the bake is in a texture."""
+        return self.carrier == "texture"
 
     @property
     def beyond_transfer(self) -> bool:
@@ -113,6 +126,19 @@ def set_share(obj: bpy.types.Object, value: float) -> None:
     if share(obj) != value or EXACT not in obj:
         obj[EXACT] = float(value)
         obj.update_tag()
+
+
+def image_of(obj: bpy.types.Object) -> bpy.types.Image | None:
+    """The atlas that ``obj`` shows; None where its bake is on vertices, or the image is gone."""
+    return obj.get(ATLAS)
+
+
+def set_image(obj: bpy.types.Object, image: bpy.types.Image | None) -> None:
+    """Let ``obj`` show ``image``, or none."""
+    if image is not None:
+        obj[ATLAS] = image
+    elif ATLAS in obj:
+        del obj[ATLAS]
 
 
 def remove(obj: bpy.types.Object) -> None:

@@ -1,5 +1,6 @@
 """A finished bake into the scene: all of it or nothing."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
@@ -7,14 +8,15 @@ from typing import Any
 import bpy
 
 from . import (
+    atlas_images,
     attributes,
     carrier,
     default_slots,
     default_surface,
-    material_attributes,
     materials,
     nodes,
     stamp,
+    write_checks,
 )
 from .prt import layout as layouts
 from .prt.errors import BakeError
@@ -23,90 +25,69 @@ from .prt.results import ReceiverResult
 from .stamp import Stamp
 
 Baked = tuple[bpy.types.Object, ReceiverResult, Stamp]
+Images = Sequence[bpy.types.Image]
 set_light = nodes.set_light
+check, notes = write_checks.check, write_checks.notes
 
 
-def check(
-    scene: bpy.types.Scene,
-    objects: list[bpy.types.Object],
-    layout: Layout,
-    least: Layout | None = None,
-) -> None:
-    """Refuse, before anything is baked, what could not be written or shown afterwards.
+def write(scene: bpy.types.Scene, baked: list[Baked], layout: Layout, images: Images = ()) -> None:
+    """Give every object its values, stamp and materials; on any error all stays as it was.
 
-    ``layout`` is the most that will be stored, ``least`` the least, where that is not yet known.
+    ``images`` are the atlases, in the order of their numbers.
     """
-    layouts.check(layout)
-    depsgraph = carrier.depsgraph_of(scene)
-    for obj in objects:
-        for material in materials.of(obj, depsgraph):
-            if material.library is not None:
-                raise BakeError(
-                    f"Material {material.name!r} of {obj.name!r} is linked from another file: "
-                    "make it local, or give the object a material of this file"
-                )
-            layouts.check(layout, len(material_attributes.of(material)), material.name)
-    _check_shared(objects, least or layout, layout, depsgraph)
-
-
-def notes(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> list[str]:
-    """What the artist should know beforehand, one sentence each."""
-    found = _materials_of(objects, carrier.depsgraph_of(scene))
-    return [
-        f"Material {name!r} keeps its own look: it has no Principled or Diffuse BSDF outside of a "
-        "group that could show the bake"
-        for name in materials.without_bake(found)
-    ] + [
-        f"Cycles will not subdivide {obj.name!r} adaptively while it is baked"
-        for obj in objects
-        if carrier.ends_adaptive_subdivision(obj)
-    ]
-
-
-def write(scene: bpy.types.Scene, baked: list[Baked], layout: Layout) -> None:
-    """Give every object its values, stamp and materials; on any error all stays as it was."""
-    check(scene, [obj for obj, _, _ in baked], layout)
+    objects = [obj for obj, _, _ in baked]
+    check(scene, objects, layout, carriers=[mark.carrier for _, _, mark in baked])
     depsgraph = carrier.depsgraph_of(scene)
     with ExitStack() as undo:
         undo.callback(_free_unused)
-        prepared = [_prepare(depsgraph, layout, *one) for one in baked]
+        prepared = [_prepare(depsgraph, layout, one, images) for one in baked]
         for one in prepared:
             _write_object(undo, one)
-        for material in _materials_of([one.obj for one in prepared], depsgraph):
-            _attach(undo, material, layout)
+        shown = {
+            material: one.image
+            for one in prepared
+            for material in write_checks.materials_of([one.obj], depsgraph)
+        }
+        for material, image in shown.items():
+            _attach(undo, material, layout, image)
         undo.pop_all()
     _free_unused()
 
 
 @dataclass(frozen=True)
 class _Prepared:
-    """What ``obj`` gets: ``holder`` is its new carrier, or None where its own mesh takes the
-    values."""
+    """What ``obj`` gets: ``holder`` is its new carrier, or None where its own mesh takes what is
+    ``stored``; and the ``image`` that it shows, or None."""
 
     obj: bpy.types.Object
     holder: bpy.types.Object | None
     stored: attributes.Stored
     stamp: Stamp
+    image: bpy.types.Image | None
 
 
 def _prepare(
-    depsgraph: bpy.types.Depsgraph,
-    layout: Layout,
-    obj: bpy.types.Object,
-    result: ReceiverResult,
-    its_stamp: Stamp,
+    depsgraph: bpy.types.Depsgraph, layout: Layout, baked: Baked, images: Images
 ) -> _Prepared:
     """Everything that can fail, before the object is touched."""
-    domain = its_stamp.domain
-    values = layouts.pack(layout, layouts.at_elements(result))
+    obj, result, its_stamp = baked
+    domain, placed = its_stamp.domain, result.in_atlas
+    if placed is not None:
+        count, stored = len(placed.uvs), attributes.with_uvs(placed.uvs)
+    else:
+        values = layouts.pack(layout, layouts.at_elements(result))
+        count, stored = len(values), attributes.split(layout, domain, values)
     with carrier.evaluated_mesh(obj, depsgraph) as mesh:
         expected = len(mesh.vertices if domain == "POINT" else mesh.loops)
-    if len(values) != expected:
+    if count != expected:
         raise BakeError(f"The mesh of {obj.name!r} was edited while it baked: bake it again")
+    image = images[placed.atlas] if placed is not None else None
+    if its_stamp.own_uvs:
+        return _Prepared(obj, None, {}, its_stamp, image)
     if its_stamp.by_modifier:
-        holder = carrier.make(obj, depsgraph, layout, domain, values)
-        return _Prepared(obj, holder, {}, its_stamp)
-    return _Prepared(obj, None, attributes.split(layout, domain, values), its_stamp)
+        holder = carrier.make(obj, depsgraph, stored)
+        return _Prepared(obj, holder, {}, its_stamp, image)
+    return _Prepared(obj, None, stored, its_stamp, image)
 
 
 def _write_object(undo: ExitStack, one: _Prepared) -> None:
@@ -123,6 +104,7 @@ def _write_object(undo: ExitStack, one: _Prepared) -> None:
     default_slots.fill(obj)
     stamp.write(obj, one.stamp)
     stamp.set_share(obj, 1.0)
+    stamp.set_image(obj, one.image)
 
 
 def _restore(
@@ -146,18 +128,24 @@ def _marks(obj: bpy.types.Object) -> dict[str, Any]:
     return {key: obj[key] for key in stamp.MARKS if key in obj}
 
 
-def _attach(undo: ExitStack, material: bpy.types.Material, layout: Layout) -> None:
+def _attach(
+    undo: ExitStack,
+    material: bpy.types.Material,
+    layout: Layout,
+    image: bpy.types.Image | None,
+) -> None:
     before = materials.layout_of(material)
     if before is None:
         undo.callback(materials.detach, material)
     else:
-        undo.callback(materials.attach, material, before)
-    materials.attach(material, layout)
+        undo.callback(materials.attach, material, before, materials.image_of(material))
+    materials.attach(material, layout, image)
 
 
 def _free_unused() -> None:
     carrier.free_unused()
     nodes.free_unused()
+    atlas_images.free_unused()
     default_surface.free_unused()
 
 
@@ -165,27 +153,3 @@ def _held_by_mesh(mesh: bpy.types.Mesh, but: bpy.types.Object) -> bool:
     """Whether another object shows the values that lie on ``mesh``."""
     stamps = (stamp.read(obj) for obj in bpy.data.objects if obj.data == mesh and obj != but)
     return any(found is not None and not found.by_modifier for found in stamps)
-
-
-def _check_shared(
-    objects: list[bpy.types.Object], least: Layout, most: Layout, depsgraph: bpy.types.Depsgraph
-) -> None:
-    """One material shows one layout."""
-    wanted = set(_materials_of(objects, depsgraph))
-    for other in bpy.data.objects:
-        its_stamp = stamp.read(other)
-        if other in objects or its_stamp is None or its_stamp.packing.between(least, most):
-            continue
-        shared = next((m for m in materials.of(other, depsgraph) if m in wanted), None)
-        if shared is not None:
-            raise BakeError(
-                f"{other.name!r} was baked with {its_stamp.packing} and shares material "
-                f"{shared.name!r}: bake both together, or with the same settings"
-            )
-
-
-def _materials_of(
-    objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph
-) -> list[bpy.types.Material]:
-    found = (material for obj in objects for material in materials.of(obj, depsgraph))
-    return list(dict.fromkeys(found))

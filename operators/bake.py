@@ -25,7 +25,9 @@ class PRT_OT_bake(JobOperator, bpy.types.Operator):
     def steps(self, context: bpy.types.Context) -> Steps:
         """Bake what is selected."""
         self.names = [obj.name for obj in scene.default_objects(context)]
-        return bake.bake(context.scene.name, self.names, properties.settings(context.scene))
+        scene_now = context.scene
+        chosen, target = properties.settings(scene_now), properties.target(scene_now)
+        return bake.bake(scene_now.name, self.names, chosen, None, target)
 
     def done(self) -> str:
         """How much was baked and how noisy it is."""

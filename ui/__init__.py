@@ -4,9 +4,9 @@ import bpy
 
 from .panel import PRT_PT_bake
 from .result_panel import PRT_PT_light, PRT_PT_result
-from .settings_panel import PRT_PT_exact, PRT_PT_settings
+from .settings_panel import PRT_PT_exact, PRT_PT_settings, PRT_PT_texture
 
-CLASSES = (PRT_PT_bake, PRT_PT_result, PRT_PT_light, PRT_PT_settings, PRT_PT_exact)
+CLASSES = (PRT_PT_bake, PRT_PT_result, PRT_PT_light, PRT_PT_settings, PRT_PT_texture, PRT_PT_exact)
 
 
 def register() -> None:

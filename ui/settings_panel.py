@@ -3,7 +3,11 @@
 import bpy
 
 from ..addon.prt.layout import MAX_ATTRIBUTES, Layout
+from ..addon.prt.tiles import tile_grid
 from .panel import SidebarPanel
+
+BYTES = 16  # four floats
+MIPS = 4 / 3  # a texture and its halvings
 
 
 class PRT_PT_settings(SidebarPanel, bpy.types.Panel):
@@ -16,15 +20,44 @@ class PRT_PT_settings(SidebarPanel, bpy.types.Panel):
         """Order with what it costs, rays, seed, threads."""
         chosen = context.scene.prt
         layout = split(self.layout)
+        layout.prop(chosen, "carrier")
         layout.prop(chosen, "order")
-        hint = layout.row()
-        hint.active = False
-        hint.alignment = "RIGHT"
-        hint.label(text=f"{used_attributes(chosen)} of EEVEE's {MAX_ATTRIBUTES} attributes")
+        if chosen.carrier != "TEXTURE":
+            hint(layout, f"{used_attributes(chosen)} of EEVEE's {MAX_ATTRIBUTES} attributes")
         layout.prop(chosen, "quality")
         layout.prop(chosen, "rays" if chosen.quality == "RAYS" else "tolerance")
         layout.prop(chosen, "seed")
         layout.prop(chosen, "threads")
+
+
+class PRT_PT_texture(SidebarPanel, bpy.types.Panel):
+    """The textures of the next bake, where it goes to such."""
+
+    bl_label = "Texture"
+    bl_parent_id = "PRT_PT_settings"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Not for vertices alone."""
+        return context.scene.prt.carrier != "VERTEX"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Its size with what it costs, and where it goes."""
+        chosen = context.scene.prt
+        layout = split(self.layout)
+        layout.prop(chosen, "size_by")
+        if chosen.size_by == "RESOLUTION":
+            layout.prop(chosen, "resolution")
+            hint(layout, f"{megabytes(chosen):,.0f} MB on the graphics card")
+        else:
+            layout.prop(chosen, "texel_density")
+        layout.prop(chosen, "shared_atlas")
+        layout.prop(chosen, "padding_mip")
+        layout.prop(chosen, "half")
+        layout.prop(chosen, "pack_images")
+        folder = layout.row()
+        folder.active = not chosen.pack_images and bool(bpy.data.filepath)
+        folder.prop(chosen, "image_folder")
 
 
 class PRT_PT_exact(SidebarPanel, bpy.types.Panel):
@@ -45,6 +78,14 @@ class PRT_PT_exact(SidebarPanel, bpy.types.Panel):
         layout.prop(chosen, "final_light")
 
 
+def hint(layout: bpy.types.UILayout, text: str) -> None:
+    """What a setting costs, in grey at the right."""
+    row = layout.row()
+    row.active = False
+    row.alignment = "RIGHT"
+    row.label(text=text)
+
+
 def split(layout: bpy.types.UILayout) -> bpy.types.UILayout:
     """``layout`` with names on the left and values on the right."""
     layout.use_property_split = True
@@ -56,3 +97,9 @@ def used_attributes(chosen: bpy.types.PropertyGroup) -> int:
     """How many vertex attributes a bake takes at most."""
     turns = chosen.turns if chosen.residual else 0
     return len(Layout(chosen.order, 1, turns, chosen.peaks).attributes)
+
+
+def megabytes(chosen: bpy.types.PropertyGroup) -> float:
+    """What one texture takes in memory at most: four floats a texel of every tile, and mips."""
+    columns, rows = tile_grid(used_attributes(chosen))
+    return columns * rows * int(chosen.resolution) ** 2 * BYTES * MIPS / 1e6

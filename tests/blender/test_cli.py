@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 import pytest
 from prt_baker.addon import bake, cli, gltf_export, headless
+from prt_baker.addon.atlas_files import Target
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.job import Progress
 
@@ -74,8 +75,9 @@ def fail(error):
 def test_it_bakes_what_is_selected_as_the_blend_says(scene, asked):
     scene.prt.rays, scene.prt.seed = 99, 7
     assert cli.command([]) == 0
-    name, names, settings, world = asked[0]
+    name, names, settings, world, target = asked[0]
     assert (name, names, world) == (scene.name, ["Lamp Shade"], None)
+    assert target == Target("vertex", None, "Untitled")
     assert (settings.order, settings.rays, settings.seed, settings.threads) == (3, 99, 7, 0)
     assert settings.verify_points == 0
 
@@ -140,19 +142,36 @@ def test_the_world_is_found_from_where_the_command_is_given(asked, monkeypatch, 
     assert asked[0][3] == str(tmp_path / "sky.exr")
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "--carrier texture",
-        "--carrier auto",
-        "--resolution 1024",
-        "--texel-density 4.5",
-        "--bounces 2",
-    ],
-)
-def test_what_is_still_to_come_is_refused(capsys, asked, line):
-    assert "not available yet" in refused(capsys, *line.split())
+def test_bounces_are_still_to_come(capsys, asked):
+    assert "not available yet" in refused(capsys, "--bounces", "2")
     assert asked == []
+
+
+def test_textures_go_beside_the_saved_blend_or_where_they_are_told(scene, asked, tmp_path):
+    scene.prt.carrier, scene.prt.resolution = "AUTO", "512"
+    save = ["--save", str(tmp_path / "lit.blend")]
+    for line, folder, settings in (
+        ([], None, {"resolution": 512, "texel_density": 0.0, "shared_atlas": True}),
+        (save, tmp_path, {}),
+        ([*save, "--pack"], None, {}),
+        ([*save, "--images", str(tmp_path / "maps")], tmp_path / "maps", {}),
+        (["--resolution", "2048", "--half"], None, {"resolution": 2048, "half": True}),
+        (["--texel-density", "4.5"], None, {"texel_density": 4.5}),
+        (["--own-textures"], None, {"shared_atlas": False}),
+    ):
+        assert cli.command(line) == 0
+        target = asked[-1][4]
+        assert (target.carrier, target.folder) == ("auto", folder)
+        assert target.stem == ("lit" if line[:1] == ["--save"] else "Untitled")
+        for name, value in settings.items():
+            assert getattr(asked[-1][2], name) == value
+    assert cli.command(["--carrier", "texture"]) == 0
+    assert asked[-1][4].carrier == "texture"
+
+
+def test_a_resolution_is_asked_for_in_powers_of_two(capsys, asked):
+    assert "no power of two" in refused(capsys, "--resolution", "1000")
+    assert "not allowed with" in refused(capsys, "--resolution", "64", "--texel-density", "3")
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,9 @@ def test_a_coarse_mesh_is_told_from_too_few_rays(noise, error, coarse):
 
 def test_a_mesh_that_is_estimated_to_be_coarse_is_told_without_verifying():
     mark = stamped(estimated_error=0.01, interpolation_error=0.04)
-    words = "4.0 % because the mesh is coarse: subdivide it where shadows fall"
+    words = (
+        "4.0 % because the mesh is coarse: subdivide it where shadows fall, or bake to a texture"
+    )
     assert figures.advice(mark) == words
     assert figures.stamp_lines(mark)[2:] == [
         "1.0 % noise and 4.0 % between the vertices, estimated"
@@ -90,3 +92,23 @@ def test_the_speed_of_several_bakes_is_all_rays_over_all_seconds():
     known = stamped(points=1_000_000, rays=100, mrays_per_second=0.0)
     assert figures.summary_lines([slow, fast, known])[1] == "300.0 Mrays, 1.6 Mrays/s"
     assert figures.stamp_lines(known)[1] == "100 rays a point, nothing had to be traced"
+
+
+def test_a_texture_says_its_size_its_error_and_why_it_is_one():
+    predicted = {
+        "vertex_error": 0.3, "texture_error": 0.012, "vertex_bytes": 2e5, "texture_bytes": 48e6
+    }  # fmt: skip
+    why = figures.why("texture", predicted)
+    assert why == (
+        "texture chosen: 1.2 % error in 48 MB, between vertices 30 % in 0.2 MB, predicted"
+    )
+    mark = stamped(carrier="texture", atlas_size=512, points=9000, estimated_error=0.01, why=why)
+    size, reason, _, error = figures.stamp_lines(mark)
+    assert size == "order 3, 9,000 texels of 512 x 512"
+    assert reason == why
+    assert error == "1.0 % error of the texture, estimated"
+    assert figures.advice(mark) is None
+    other = stamped(estimated_error=0.02, interpolation_error=0.001)
+    lines = figures.summary_lines([mark, other])
+    assert "1.0 % error of the texture, estimated" in lines
+    assert "2.0 % noise and 0.1 % between the vertices, estimated" in lines

@@ -3,6 +3,7 @@
 import bpy
 import pytest
 from prt_baker.addon import bake, cache_folder, light_state, run_state, stamp
+from prt_baker.addon.atlas_files import Target
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.job import Progress, Settings
 from stamped import put_bake
@@ -47,7 +48,7 @@ def test_bake_passes_the_settings(scene, cube, calls):
     put_bake(scene, cube)
     assert bpy.ops.prt.bake() == {"FINISHED"}
     expected = Settings(order=4, rays=99, seed=7, threads=1, cache=cache_folder.path())
-    assert calls == [("bake", scene.name, ["Cube"], expected)]
+    assert calls == [("bake", scene.name, ["Cube"], expected, None, Target())]
 
 
 def test_invoked_in_the_background_it_runs_to_the_end(scene, cube, calls):
@@ -138,7 +139,7 @@ def test_update_light_asks_for_the_scene(scene, cube, calls):
 
 
 def test_a_bake_is_one_undo_step(scene, cube, monkeypatch):
-    def mark(scene_name, names, settings):
+    def mark(scene_name, names, *_):
         yield Progress("scene", 0.0)
         put_bake(bpy.data.scenes[scene_name], *(bpy.data.objects[name] for name in names))
         return {}
@@ -157,7 +158,10 @@ def test_a_bake_is_one_undo_step(scene, cube, monkeypatch):
 def test_only_settings_are_saved(scene):
     kept = {prop.identifier for prop in scene.prt.bl_rna.properties if not prop.is_readonly}
     exact = {"residual", "turns", "peaks", "final_light"}
-    assert kept == {"name", "order", "quality", "rays", "tolerance", "seed", "threads"} | exact
+    plain = {"name", "order", "quality", "rays", "tolerance", "seed", "threads", "gltf_short"}
+    texture = {"size_by", "resolution", "texel_density", "shared_atlas", "padding_mip", "half"}
+    where = {"carrier", "image_folder", "pack_images"}
+    assert kept == plain | exact | texture | where
 
 
 def test_a_file_saved_during_a_bake_knows_nothing_of_it(scene, cube, monkeypatch, tmp_path):

@@ -148,10 +148,23 @@ def test_lamps_are_said_to_be_left_out(context):
 def test_the_settings_tell_what_an_order_costs(context):
     context.scene.prt.order = 5
     notes = drawn(settings_panel.PRT_PT_settings, context)
-    assert notes[:2] == ["<order>", "7 of EEVEE's 14 attributes"]
-    assert notes[2:] == ["<quality>", "<rays>", "<seed>", "<threads>"]
+    assert notes[:3] == ["<carrier>", "<order>", "7 of EEVEE's 14 attributes"]
+    assert notes[3:] == ["<quality>", "<rays>", "<seed>", "<threads>"]
     context.scene.prt.quality = "TOLERANCE"
-    assert drawn(settings_panel.PRT_PT_settings, context)[3] == "<tolerance>"
+    assert drawn(settings_panel.PRT_PT_settings, context)[4] == "<tolerance>"
+
+
+def test_the_settings_tell_what_a_texture_costs(context):
+    chosen = context.scene.prt
+    assert not settings_panel.PRT_PT_texture.poll(context)
+    chosen.carrier = "TEXTURE"
+    assert settings_panel.PRT_PT_texture.poll(context)
+    assert not any("attributes" in note for note in drawn(settings_panel.PRT_PT_settings, context))
+    notes = drawn(settings_panel.PRT_PT_texture, context)
+    assert notes[:3] == ["<size_by>", "<resolution>", "89 MB on the graphics card"]
+    assert notes[-2:] == ["<pack_images>", "<image_folder>"]
+    chosen.size_by = "DENSITY"
+    assert drawn(settings_panel.PRT_PT_texture, context)[1] == "<texel_density>"
 
 
 def test_the_settings_tell_what_turns_and_peaks_cost(context):
