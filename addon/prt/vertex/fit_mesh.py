@@ -48,7 +48,7 @@ def mesh_of(corners: Index, positions: Float, areas: Float, count: int) -> Mesh:
     triangle, side = halves // 3, halves % 3
     ends = edges[uses == 2]
     reversed_ = corners[triangle, side] != ends[:, :1]
-    along, height = _heights(positions, areas, triangle, side)
+    along, height = (values[triangle, side] for values in _heights(positions, areas))
     along = np.where(reversed_, 1 - along, along)
     height = np.maximum(height, NEEDLE * height.sum(axis=1, keepdims=True))
     jumps = np.concatenate(
@@ -90,14 +90,17 @@ def excerpt(mesh: Mesh, keep: npt.NDArray[np.bool_]) -> Mesh:
     )
 
 
-def _heights(positions: Float, areas: Float, triangle: Index, side: Index) -> tuple[Float, Float]:
-    """For both triangles (H, 2) at an edge: how far along it the third corner's foot lies, from
-    where that triangle's side starts, and the corner's height."""
-    from_, to, tip = (positions[triangle, (side + k) % 3] for k in range(3))
-    edge = to - from_
-    squared = np.maximum(np.einsum("htc,htc->ht", edge, edge), 1e-300)
-    along = np.einsum("htc,htc->ht", tip - from_, edge) / squared
-    return along, 2 * areas[triangle] / np.sqrt(squared)
+def _heights(positions: Float, areas: Float) -> tuple[Float, Float]:
+    """For each side (F, 3) of triangles: how far along it the third corner's foot lies, from where
+    the side starts, and the corner's height."""
+    along, height = np.empty((2, len(positions), 3))
+    for k in range(3):
+        from_, to, tip = (positions[:, (k + i) % 3] for i in range(3))
+        edge = to - from_
+        squared = np.maximum(np.einsum("fc,fc->f", edge, edge), 1e-300)
+        along[:, k] = np.einsum("fc,fc->f", tip - from_, edge) / squared
+        height[:, k] = 2 * areas / np.sqrt(squared)
+    return along, height
 
 
 def _sides_around(
