@@ -16,7 +16,7 @@ from ..errors import BakeError
 Vectors = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.int32]
 CLEAR, BLOCKED = -1, 0  # embreex's own codes
-FAST_PAYS = 100  # rays a triangle: from there on the time that they save pays for two structures
+FAST_PAYS = 120  # rays a triangle: what they save pays twice for the second structure
 
 
 class Occlusion(Protocol):
