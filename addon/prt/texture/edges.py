@@ -17,10 +17,12 @@ SAME_PLACE = 1e-3  # texels
 
 @dataclass(frozen=True)
 class Edges:
-    """Of F triangles: ``region`` (F,), the smooth piece of a chart that each is in; and the seams,
+    """Of F triangles: the ``chart`` (F,) that each is in, and the ``region`` (F,), a smooth piece
+    of a chart, both as the number of one of its triangles; and the seams,
     edges of exactly two triangles with equal shading normals that lie apart in the atlas: the ends
     of both of their sides in texels, ``seams`` (S, 2 sides, 2 ends, 2), the same end first."""
 
+    chart: Index
     region: Index
     seams: Float
 
@@ -46,8 +48,9 @@ def edges_of(receiver: Receiver, surface: Surface, layout: Layout) -> Edges:
     smooth = np.abs(normals[:, 0] - normals[:, 1]).max(axis=(1, 2), initial=0) <= SAME_NORMAL
     places = layout.corners[triangle[:, :, None], ends]
     apart = np.abs(places[:, 0] - places[:, 1]).max(axis=(1, 2), initial=0) > SAME_PLACE
-    region = components(triangle[smooth & ~apart], len(receiver.triangles))
-    return Edges(region, places[smooth & apart])
+    count = len(receiver.triangles)
+    chart, region = (components(triangle[joined], count) for joined in (~apart, smooth & ~apart))
+    return Edges(chart, region, places[smooth & apart])
 
 
 def _welded(receiver: Receiver) -> Index:

@@ -76,7 +76,7 @@ def _upsampled(coarse: Array, rows: npt.NDArray[np.int64], columns: npt.NDArray[
 
 def grow(grid: Grid, values: Array, known: Mask, rings: int) -> None:
     """Give texels (T,) that are not ``known`` the mean ``values`` (T, K) of those about them that
-    are, on the same smooth piece, in place; ``rings`` of them, each known to the next."""
+    are, on the same piece of the ``grid``, in place; ``rings`` of them, each known to the next."""
     for _ in range(rings):
         rows = np.flatnonzero(~known)
         near = grid.neighbours(rows, AROUND)

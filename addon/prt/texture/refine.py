@@ -6,8 +6,8 @@ texel whose neighbours do not all lie on the same smooth piece of a chart, or of
 buried, is traced; where all are buried, a look tells whether it is too.
 
 A texel of the coarsest grid decides the values of many others and one of the finest only its own,
-so the rays are dealt out by that: an area that grows fourfold is worth about twice the rays, as the
-error falls with rays to the power of 0.77.
+so the coarser grids take twice the rays.  Where the finest texels' neighbours differ too much there
+is an edge between them, and the rays start from several places of a texel.
 """
 
 from collections.abc import Generator
@@ -22,8 +22,8 @@ from .cover import Index, Mask
 Array = npt.NDArray[np.float32]
 
 COARSEST = 8  # texels from one that is traced to the next
-SHARES = {8: 2.0, 4: 2.0, 2: 1.0, 1: 0.5}  # of the rays, by the distance to the next texel
-SPREAD = 16.0  # times the tolerance: neighbours that differ by more have something between them
+SHARES = {8: 2.0, 4: 2.0, 2: 1.0, 1: 1.0}  # of the rays, by the distance to the next texel
+SPREAD = 8.0  # times the tolerance: neighbours that differ by more have something between them
 ENOUGH = 256  # texels that tell how large an object's values are
 PIECE = 1 << 16  # texels that are looked at together
 
@@ -37,11 +37,10 @@ class Trace(Protocol):
     cast: int
 
     def texels(
-        self, rows: Index, share: float, fine: bool
+        self, rows: Index, share: float, sharp: Mask
     ) -> Generator[int, None, tuple[Array, Mask]]:
         """Yields the rays cast so far; the values (M, K) of the texels ``rows`` (M,), with
-        ``share`` of the rays, and which of them are buried.  Where it is ``fine`` each counts only
-        for itself."""
+        ``share`` of the rays, those ``sharp`` (M,) from several places; and which are buried."""
         ...
 
     def are_buried(self, rows: Index) -> Generator[int, None, Mask]:
@@ -103,7 +102,9 @@ class Refinement:
         is_first = (row % COARSEST == 0) & (column % COARSEST == 0)
         is_first[:: max(1, len(row) // ENOUGH)] |= is_first.sum() < ENOUGH
         rows = np.flatnonzero(is_first)
-        values, buried = yield from self._trace.texels(rows, SHARES[COARSEST], fine=False)
+        values, buried = yield from self._trace.texels(
+            rows, SHARES[COARSEST], is_first[rows] & False
+        )
         self.values = np.zeros((len(row), values.shape[1]), np.float32)
         self._set(rows, values, buried)
 
@@ -127,24 +128,29 @@ class Refinement:
         self, rows: Index, ways: list[tuple[int, int]], size: Size, tolerance: float
     ) -> Generator[int, None, None]:
         """The texels ``rows`` half way between others, which lie along ``ways``."""
-        needed, hidden = [NONE], [NONE]
+        needed, hidden, sharp = [NONE], [NONE], np.zeros(len(self.state), bool)
         for first in range(0, len(rows), PIECE):
             some = rows[first : first + PIECE]
-            needs, in_dark = np.zeros(len(some), bool), np.ones(len(some), bool)
+            needs, differs, in_dark = np.zeros((3, len(some)), bool)
+            in_dark[:] = True
             sums = np.zeros((len(some), self.values.shape[1]), np.float32)
             for up, right in ways:
                 near = self._grid.neighbours(some, [(up * k, right * k) for k in (-1, 1, -3, 3)])
-                sums += self._along(near, needs, size, tolerance)
+                sums += self._along(near, needs, differs, size, tolerance)
                 in_dark &= ((near < 0) | (self.state[near] == BURIED))[:, :2].all(axis=1)
                 in_dark &= (near >= 0)[:, :2].any(axis=1)
             calm = some[~needs]
             self.values[calm] = sums[~needs] / len(ways)
             self.state[calm] = BETWEEN
+            sharp[some[differs]] = True
             needed.append(some[needs & ~in_dark])
             hidden.append(some[in_dark])
             yield self._trace.cast
         yield from self._look(np.concatenate(hidden), needed)
-        yield from self._follow(np.concatenate(needed), max(ways[0]))
+        rows, step = np.concatenate(needed), max(ways[0])
+        if len(rows):
+            several = sharp[rows] & (step == 1)
+            self._set(rows, *(yield from self._trace.texels(rows, SHARES[step], several)))
 
     def _look(self, rows: Index, needed: list[Index]) -> Generator[int, None, None]:
         """Which of ``rows``, among buried texels, are so too; the others are ``needed``."""
@@ -152,9 +158,11 @@ class Refinement:
         self.state[rows[hidden]] = BURIED
         needed.append(rows[~hidden])
 
-    def _along(self, near: Index, needs: Mask, size: Size, tolerance: float) -> Array:
+    def _along(
+        self, near: Index, needs: Mask, differs: Mask, size: Size, tolerance: float
+    ) -> Array:
         """The mean (M, K) of the first two of each row of ``near`` (M, 4), and into ``needs`` where
-        it can't be trusted."""
+        it can't be trusted, into ``differs`` where that is because these two differ too much."""
         known = (near >= 0) & np.isin(self.state[near], (TRACED, BETWEEN))
         left, right, before, after = (self.values[near[:, k]] for k in range(4))
         bend = np.where(known[:, 2, None], before - 2 * left + right, 0)
@@ -162,12 +170,9 @@ class Refinement:
         sides = np.maximum(known[:, 2:].sum(axis=1), 1)
         error = size(bend) / (8 * sides)  # of a parabola half way between
         needs |= ~known[:, :2].all(axis=1) | (error > tolerance)
-        needs |= size(right - left) > SPREAD * tolerance
+        differs |= known[:, :2].all(axis=1) & (size(right - left) > SPREAD * tolerance)
+        needs |= differs
         return (left + right) * np.float32(0.5)
-
-    def _follow(self, rows: Index, step: int) -> Generator[int, None, None]:
-        if len(rows):
-            self._set(rows, *(yield from self._trace.texels(rows, SHARES[step], fine=step == 1)))
 
     def _set(self, rows: Index, values: Array, buried: Mask) -> None:
         self.values[rows] = values

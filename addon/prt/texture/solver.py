@@ -72,7 +72,7 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     yield from work.go_on(scale, max(settings.tolerance or noise, LEAST))
     yield from _push_out(work, grid, tracer, edges.region)
     known = work.state != BURIED
-    grow(grid, work.values, known, RINGS)
+    grow(Grid.of(size, index, edges.chart[triangles]), work.values, known, RINGS)
     values, counts = work.values[known], np.bincount(work.state, minlength=4)
     at = Grid.of(size, index[known], grid.region[known]).at
     seams = Samples.of(edges.seams, size, at)

@@ -20,6 +20,7 @@ PIECE = 1 << 16  # places that are found together
 RECORDS = 1 << 19  # texels of which each place that was traced is kept; of more, every second one
 NONE = np.zeros(0, np.int64)
 NOWHERE = Places(NONE, np.zeros((0, 3)))
+QUARTERS = 0.25 * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])  # of a texel
 AWAY = 0.5 * np.array([[-1, 0], [1, 0], [0, -1], [0, 1], [-1, -1], [1, -1], [-1, 1], [1, 1]])
 
 
@@ -118,22 +119,25 @@ class Tracer:
         return hidden
 
     def texels(
-        self, rows: Index, share: float, fine: bool
+        self, rows: Index, share: float, sharp: Mask
     ) -> Generator[int, None, tuple[Array, Mask]]:
         """What is found (M, K) at the texels ``rows`` (M,) with ``share`` of the rays, and which of
-        them are buried.  Where it is ``fine``, at two places a quarter of a texel from the centre
-        along each axis, across for every second texel, of which the one that is seen counts."""
-        if not fine:
-            return (yield from self.follow(self.at(rows, np.zeros(2)), share))
-        row, column = np.divmod(self._index[rows], self.mesh.layout.size)
-        across = np.where((row + column) % 2, -0.25, 0.25)
-        offset = np.stack([np.full(len(rows), 0.25), across], axis=1)
-        places = joined([self.at(rows, offset), self.at(rows, -offset)])
-        found, hidden = yield from self.follow(places, share / 2)
-        weights = (~hidden).astype(np.float32).reshape(2, -1, 1)
+        them are buried.  Those that are ``sharp`` (M,) start a part of their rays from each of
+        QUARTERS, of which those that are seen count."""
+        values, hidden = yield from self.follow(self.at(rows[~sharp], np.zeros(2)), share)
+        if not sharp.any():
+            return values, hidden
+        places = joined([self.at(rows[sharp], offset) for offset in QUARTERS])
+        found, unseen = yield from self.follow(places, share / len(QUARTERS))
+        weights = (~unseen).astype(np.float32).reshape(len(QUARTERS), -1, 1)
         weights[:, (weights == 0).all(axis=0)[:, 0]] = 1
-        values = (found.reshape(2, len(rows), -1) * weights).sum(axis=0) / weights.sum(axis=0)
-        return values, hidden.reshape(2, -1).all(axis=0)
+        sums = (found.reshape(len(QUARTERS), weights.shape[1], -1) * weights).sum(axis=0)
+        both = np.empty((len(rows), sums.shape[1]), np.float32)
+        both[~sharp], both[sharp] = values, sums / weights.sum(axis=0)
+        is_hidden = np.empty(len(rows), bool)
+        is_hidden[~sharp] = hidden
+        is_hidden[sharp] = unseen.reshape(len(QUARTERS), -1).all(axis=0)
+        return both, is_hidden
 
     def are_buried(self, rows: Index) -> Generator[int, None, Mask]:
         """Which of the texels ``rows`` (M,) are buried.  Yields the rays cast so far."""
