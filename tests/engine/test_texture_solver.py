@@ -113,7 +113,7 @@ def test_a_room_takes_an_eighth_of_the_rays_and_has_no_larger_errors():
     values[hidden] = 0
     known = ~hidden
     grid = refine.Grid.of(512, scene.index, edges_of(
-        scene.receiver, scene.mesh.surface, scene.mesh.layout).region[scene.triangles])  # fmt: skip
+        scene.receiver, scene.mesh.layout).region[scene.triangles])  # fmt: skip
     solver.grow(grid, values, known, 2)
     every = scene.errors(scene.image(scene.index, values))
     ours = scene.errors(scene.image(found.index, found.values))
@@ -139,7 +139,7 @@ def test_the_report_knows_the_error(name):
 
 def test_reads_along_seams_meet():
     scene, found = bench("torus"), baked("torus")
-    edges = edges_of(scene.receiver, scene.mesh.surface, scene.mesh.layout)
+    edges = edges_of(scene.receiver, scene.mesh.layout)
     along = np.random.default_rng(4).random((10000, 1, 1))
     which = np.random.default_rng(5).integers(len(edges.seams), size=10000)
     ends = edges.seams[which]

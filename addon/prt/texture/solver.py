@@ -63,7 +63,7 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     """
     mesh = Mesh.of(receiver, uvs, size)
     index, triangles = yield from cover(mesh.layout, mesh.surface.solid)
-    edges = edges_of(receiver, mesh.surface, mesh.layout)
+    edges = edges_of(receiver, mesh.layout)
     grid = Grid.of(size, index, edges.region[triangles])
     tracer = Tracer(mesh, index, triangles, trace, occlusion, order=settings.order, rays=rays)
     work = Refinement(grid, tracer)
