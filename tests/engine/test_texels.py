@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import rooms
 import shapes
+from prt_baker.addon.prt.surface.points import Surface
 from prt_baker.addon.prt.texture import cover
 from prt_baker.addon.prt.texture.cover import Layout
 from prt_baker.addon.prt.texture.edges import edges_of
@@ -122,7 +123,7 @@ def test_where_nothing_is_known_all_is_black():
 def test_seams_are_the_smooth_edges_that_lie_apart():
     receiver, uvs, *_ = rooms.torus(48, 24)
     layout = Layout.of(receiver, uvs, 128)
-    edges = edges_of(receiver, layout)
+    edges = edges_of(receiver, Surface.of(receiver), layout)
     assert len(np.unique(edges.region)) == 2
     assert len(edges.seams) == 2 * 24 + 48  # two cuts across, one around
     turned = np.linalg.norm(edges.seams[:, :, 1] - edges.seams[:, :, 0], axis=2)
@@ -135,7 +136,7 @@ def test_split_vertices_are_one_where_their_normals_agree():
     split = shapes.receiver(receiver.vertices[receiver.triangles.reshape(-1)],
                             np.arange(receiver.triangles.size).reshape(-1, 3), normals)  # fmt: skip
     layout = Layout.of(split, uvs, 128)
-    assert len(edges_of(split, layout).seams) == 2 * 24 + 48
+    assert len(edges_of(split, Surface.of(split), layout).seams) == 2 * 24 + 48
 
 
 def test_creases_borders_and_edges_of_three_faces_are_no_seams():
@@ -152,4 +153,4 @@ def test_creases_borders_and_edges_of_three_faces_are_no_seams():
         if receiver is crease:
             uvs = rooms.planar_charts(receiver, 64)
         layout = Layout.of(receiver, uvs, 64)
-        assert len(edges_of(receiver, layout).seams) == expected
+        assert len(edges_of(receiver, Surface.of(receiver), layout).seams) == expected

@@ -13,7 +13,7 @@ from prt_baker.addon.prt.texture import cover, refine, solver
 from prt_baker.addon.prt.texture.edges import edges_of
 from prt_baker.addon.prt.texture.places import Mesh, pilot_points
 from prt_baker.addon.prt.texture.sampling import bilinear
-from prt_baker.addon.prt.texture.stitch import Samples, Stitch
+from prt_baker.addon.prt.texture.stitch import Samples, stitch
 from prt_baker.addon.prt.tracing import rays, transfer
 from prt_baker.addon.prt.tracing.buried import buried
 from prt_baker.addon.prt.vertex import traced
@@ -98,9 +98,12 @@ def bench(name):
     return made
 
 
+BAKES = {"room": (512, 0.035), "torus": (256, 0.012)}  # rays and the noise that they leave
+
+
 @cache
 def baked(name):
-    return bench(name).solve(*{"room": (512, 0.035), "torus": (256, 0.012)}[name])
+    return bench(name).solve(*BAKES[name])
 
 
 def rms(values):
@@ -113,7 +116,7 @@ def test_a_room_takes_an_eighth_of_the_rays_and_has_no_larger_errors():
     values[hidden] = 0
     known = ~hidden
     grid = refine.Grid.of(512, scene.index, edges_of(
-        scene.receiver, scene.mesh.layout).region[scene.triangles])  # fmt: skip
+        scene.receiver, scene.mesh.surface, scene.mesh.layout).region[scene.triangles])  # fmt: skip
     solver.grow(grid, values, known, 2)
     every = scene.errors(scene.image(scene.index, values))
     ours = scene.errors(scene.image(found.index, found.values))
@@ -139,7 +142,7 @@ def test_the_report_knows_the_error(name):
 
 def test_reads_along_seams_meet():
     scene, found = bench("torus"), baked("torus")
-    edges = edges_of(scene.receiver, scene.mesh.layout)
+    edges = edges_of(scene.receiver, scene.mesh.surface, scene.mesh.layout)
     along = np.random.default_rng(4).random((10000, 1, 1))
     which = np.random.default_rng(5).integers(len(edges.seams), size=10000)
     ends = edges.seams[which]
@@ -156,31 +159,61 @@ def test_reads_along_seams_meet():
     assert found.entry["seams"]["jump_after"] < 0.3 * found.entry["seams"]["jump_before"]
 
 
-def test_a_stitch_does_not_raise_the_error(monkeypatch):
-    scene, found = bench("torus"), baked("torus")
-    monkeypatch.setattr(Stitch, "solve", lambda *_: None)
-    apart = scene.solve(256, 0.012)
+@pytest.mark.parametrize("name", ["room", "torus"])
+def test_a_stitch_does_not_raise_the_error(name, monkeypatch):
+    scene, found = bench(name), baked(name)
+    monkeypatch.setattr(solver, "stitch", lambda *_: None)
+    apart = scene.solve(*BAKES[name])
     ours, before = (rms(scene.errors(scene.image(f.index, f.values))) for f in (found, apart))
-    assert ours < 1.01 * before
+    assert ours < 1.001 * before
     changed = (found.values != apart.values).any(axis=1)
-    assert 0 < changed.mean() < 0.2
+    assert 0 < changed.mean() < 0.4
+
+
+def seam_and_flat_atlas():
+    at = np.arange(64, dtype=np.int32).reshape(8, 8)
+    seams = np.array([[[[3.2, 1], [3.2, 6]], [[1, 4.4], [6, 4.4]]]])  # upright and flat
+    return Samples.of(seams, 8, at)
+
+
+def no_border():
+    return Samples(np.zeros((0, 8), np.int64), np.zeros((0, 8), np.float32)), np.zeros(0, np.int64)
 
 
 def test_a_stitch_changes_only_what_jumps():
-    at = np.arange(64, dtype=np.int32).reshape(8, 8)
-    seams = np.array([[[[3.2, 1], [3.2, 6]], [[1, 4.4], [6, 4.4]]]])  # upright and flat
-    samples = Samples.of(seams, 8, at)
+    samples = seam_and_flat_atlas()
     assert len(samples.rows) == 11
     same = np.full((64, 2), 3, np.float32)
-    Stitch(samples).solve(same)
+    stitch(same, samples, *no_border(), np.zeros(64))
     np.testing.assert_allclose(same, 3, rtol=1e-6)
     row, column = np.mgrid[:8, :8]
     apart = np.where(row >= 4, column, row).astype(np.float32).reshape(64, 1)
     before = apart.copy()
-    Stitch(samples).solve(apart)
-    assert np.abs(samples.jumps(apart)).max() < 0.2 * np.abs(samples.jumps(before)).max()
+    stitch(apart, samples, *no_border(), np.zeros(64))
+    assert np.abs(samples.read(apart)).max() < 0.2 * np.abs(samples.read(before)).max()
     read = np.isin(np.arange(64), samples.rows[np.abs(samples.weights) > 0])
     np.testing.assert_array_equal(apart[~read], before[~read])
+
+
+def test_texels_outside_give_way_to_those_inside():
+    samples = seam_and_flat_atlas()
+    row, column = np.mgrid[:8, :8]
+    outside = np.where((row == 5) | (column == 4), 0.8, 0).reshape(64)
+    apart = np.where(row >= 4, column, row).astype(np.float32).reshape(64, 1)
+    before = apart.copy()
+    stitch(apart, samples, *no_border(), outside)
+    change = np.abs(apart - before)[:, 0]
+    assert change[outside > 0].max() > 4 * change[outside == 0].max()
+
+
+def test_creases_read_what_was_found_at_them():
+    """On the border of a chart the reads find what was traced there, in the corners of a room."""
+    scene, found = bench("room"), baked("room")
+    origins = scene.known[2]
+    near = np.minimum(origins[:, 2], rooms.HEIGHT - origins[:, 2]) < 0.02
+    errors = scene.errors(scene.image(found.index, found.values))
+    assert near.sum() > 20
+    assert rms(errors[near]) < 1.5 * rms(errors)
 
 
 def test_the_same_bits_for_any_threads_and_batches(monkeypatch):

@@ -7,6 +7,7 @@ import numpy as np
 from ..job import Receiver
 from ..surface.edges import components, welded
 from ..surface.edges import edges_of as joined_edges
+from ..surface.points import Surface
 from .cover import Float, Index, Layout
 
 SAME_PLACE = 1e-3  # texels
@@ -17,14 +18,15 @@ class Edges:
     """Of F triangles: the ``chart`` (F,) that each is in, and the ``region`` (F,), a piece of a
     chart over which shading is smooth, both as the number of one of its triangles; and the seams,
     edges of exactly two triangles with equal shading normals that lie apart in the atlas: the ends
-    of both of their sides in texels, ``seams`` (S, 2 sides, 2 ends, 2), the same end first."""
+    of both of their sides in texels, ``seams`` (S, 2 sides, 2 ends, 2), the same end first.  Where
+    the surface folds back on itself, its two sides see different things: that is no seam."""
 
     chart: Index
     region: Index
     seams: Float
 
 
-def edges_of(receiver: Receiver, layout: Layout) -> Edges:
+def edges_of(receiver: Receiver, surface: Surface, layout: Layout) -> Edges:
     """The edges between the triangles of ``receiver``, as they lie in ``layout``."""
     edges = joined_edges(receiver, welded(receiver.vertices))
     triangle, side = np.divmod(edges.sides, 3)
@@ -37,4 +39,6 @@ def edges_of(receiver: Receiver, layout: Layout) -> Edges:
     count = len(receiver.triangles)
     chart = components(triangle[~(apart & otherwise)], count)
     region = components(triangle[edges.joined & ~apart], count)
-    return Edges(chart, region, turned[edges.joined & apart])
+    facing = surface.normals[triangle]
+    folded = np.einsum("ec,ec->e", facing[:, 0], facing[:, 1]) < 0
+    return Edges(chart, region, turned[edges.joined & apart & ~folded])

@@ -22,8 +22,8 @@ from .cover import Index, Mask
 Array = npt.NDArray[np.float32]
 
 COARSEST = 8  # texels from one that is traced to the next
-SHARES = {8: 2.0, 4: 2.0, 2: 1.0, 1: 1.0}  # of the rays, by the distance to the next texel
-SPREAD = 8.0  # times the tolerance: neighbours that differ by more have something between them
+SHARES = {8: 2.0, 4: 2.0, 2: 1.0, 1: 0.75}  # of the rays, by the distance to the next texel
+SPREAD = 8.0  # times the tolerance: neighbours that differ by more may have an edge between them
 ENOUGH = 256  # texels that tell how large an object's values are
 PIECE = 1 << 16  # texels that are looked at together
 
@@ -165,13 +165,13 @@ class Refinement:
         it can't be trusted, into ``differs`` where that is because these two differ too much."""
         known = (near >= 0) & np.isin(self.state[near], (TRACED, BETWEEN))
         left, right, before, after = (self.values[near[:, k]] for k in range(4))
-        bend = np.where(known[:, 2, None], before - 2 * left + right, 0)
-        bend = bend + np.where(known[:, 3, None], after - 2 * right + left, 0)
-        sides = np.maximum(known[:, 2:].sum(axis=1), 1)
-        error = size(bend) / (8 * sides)  # of a parabola half way between
-        needs |= ~known[:, :2].all(axis=1) | (error > tolerance)
-        differs |= known[:, :2].all(axis=1) & (size(right - left) > SPREAD * tolerance)
-        needs |= differs
+        bends = np.where(known[:, 2], size(before - 2 * left + right), 0)
+        bends = np.maximum(bends, np.where(known[:, 3], size(after - 2 * right + left), 0))
+        bent = bends > 8 * tolerance  # half way on a parabola the error is an eighth of it
+        differ = size(right - left) > SPREAD * tolerance
+        has_both = known[:, :2].all(axis=1)
+        differs |= has_both & differ & (bent | ~known[:, 2:].any(axis=1))
+        needs |= ~has_both | bent | differs
         return (left + right) * np.float32(0.5)
 
     def _set(self, rows: Index, values: Array, buried: Mask) -> None:

@@ -19,7 +19,7 @@ from .fill import AROUND, grow
 from .places import Array, Mesh
 from .refine import BETWEEN, BURIED, SHARES, TRACED, Grid, Refinement
 from .sampling import footprint
-from .stitch import Samples, Stitch
+from .stitch import Samples, borders, stitch
 from .tracer import NOWHERE, Tracer
 
 LEAST = 1e-3  # relative error that is always let pass: nobody sees it, and noise is above it
@@ -63,7 +63,7 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     """
     mesh = Mesh.of(receiver, uvs, size)
     index, triangles = yield from cover(mesh.layout, mesh.surface.solid)
-    edges = edges_of(receiver, mesh.layout)
+    edges = edges_of(receiver, mesh.surface, mesh.layout)
     grid = Grid.of(size, index, edges.region[triangles])
     tracer = Tracer(mesh, index, triangles, trace, occlusion, order=settings.order, rays=rays)
     work = Refinement(grid, tracer)
@@ -76,8 +76,11 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     values, counts = work.values[known], np.bincount(work.state, minlength=4)
     at = Grid.of(size, index[known], grid.region[known]).at
     seams = Samples.of(edges.seams, size, at)
-    before = seams.jumps(values)
-    Stitch(seams).solve(values)
+    before = seams.read(values)
+    found = np.flatnonzero(work.state[known] != BURIED)
+    centres = tracer.at(np.flatnonzero(known), np.zeros(2))
+    yield tracer.cast
+    stitch(values, seams, *borders(mesh.layout, index[known], centres, at, found))
     values[:, 0] = np.maximum(values[:, 0], 0)
     entry = {
         "texels": len(values),
@@ -85,7 +88,7 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
         "interpolated_texels": int(counts[BETWEEN]),
         "filled_texels": len(values) - int(counts[TRACED] + counts[BETWEEN]),
         "buried_points": int(counts[BURIED]),
-        "seams": _seam_report(scale, before, seams.jumps(values)),
+        "seams": _seam_report(scale, before, seams.read(values)),
     }
     errors = yield from _errors(tracer, values, at, settings, noise)
     return Texels(index[known], values, {"rays": tracer.cast, **entry, **errors}, tracer.traced)

@@ -1,9 +1,11 @@
-"""Seams: the two sides of an edge that a chart's border cuts are brought together.
+"""The borders of charts: what is read there is made what was found, and to meet over seams.
 
-Both sides were traced from the same surface, but their texels lie differently on it, so what a
-bilinear read finds on one side differs from the other by a part of a texel's step: enough for a
-line that the eye follows.  A least-squares fit changes the texels that are read along seams as
-little as it can while the reads meet; no other texel changes.
+A texel whose centre lies beyond a chart's border was traced at the border, so a read there, which
+mixes it with its neighbours inside, comes out as if it lay a part of a texel further in: dark
+corners are too light.  And the texels of both sides of a seam lie differently on the surface, so
+that two such reads differ: a line that the eye follows.  A least-squares fit changes the texels
+that are read along borders, most of all those outside, which hardly anything else reads, until
+reads at the border find what was found there and those of both sides meet.
 """
 
 from dataclasses import dataclass
@@ -11,13 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .cover import Float, Index
+from ..surface.samples import Places
+from .cover import Float, Index, Layout
 from .sampling import footprint
 
 Array = npt.NDArray[np.float32]
 
+BEYOND = 0.15  # texels: a centre that is further outside was traced at the border
+FOUND = 1.0  # weight of a read at the border that misses what was found
+LEAST_KEPT = 0.02  # weight of a change of a texel that hardly any place reads; of others 1
 EVERY = 0.5  # texels between samples of a seam
-MEET = 10.0  # weight of a difference across the seam, of a change of a texel 1
+MEET = 10.0  # weight of a difference across a seam
+PIECE = 1 << 16  # texels that are looked at together
 STEPS, TOLERANCE = 100, 1e-4  # of the norm of the right side
 BLOCK = 1 << 13  # samples of a product that stay in the processor's cache
 
@@ -52,8 +59,15 @@ class Samples:
         shares = np.where(both < 0, 0, shares)[whole]
         return cls(np.maximum(both[whole], 0), shares.astype(np.float32))
 
-    def jumps(self, values: Array) -> Array:
-        """The jumps (S, K) of ``values`` (T, K) across the seams."""
+    def and_(self, other: "Samples", weight: float) -> "Samples":
+        """Both, the ``other`` ones with ``weight`` relative to these."""
+        return Samples(
+            np.concatenate([self.rows, other.rows]),
+            np.concatenate([self.weights, np.float32(weight) * other.weights]),
+        )
+
+    def read(self, values: Array) -> Array:
+        """The products (S, K) of the weights and ``values`` (T, K): jumps across seams."""
         out = np.empty((len(self.rows), values.shape[1]), np.float32)
         for first in range(0, len(out), BLOCK):
             some = slice(first, first + BLOCK)
@@ -62,9 +76,10 @@ class Samples:
 
 
 class Stitch:
-    """The system whose solution brings the sides of ``samples`` together."""
+    """The system whose solution makes what ``samples`` read what is wanted; ``kept`` (T,) is the
+    weight of a change of each texel."""
 
-    def __init__(self, samples: Samples) -> None:
+    def __init__(self, samples: Samples, kept_weights: Array) -> None:
         used = np.abs(samples.weights) > 0
         kept, compact = np.unique(samples.rows[used], return_inverse=True)
         rows = np.zeros(samples.rows.shape, np.int64)
@@ -82,13 +97,13 @@ class Stitch:
         slots = [by_rank[starts[:n] + k] for k, n in enumerate(filled)]
         self._slots = [(s // 8, samples.weights.reshape(-1)[s][:, None]) for s in slots]
         squares = np.bincount(of, samples.weights.reshape(-1)[entries] ** 2, len(kept))
-        self._diagonal = (1 + MEET * squares).astype(np.float32)[:, None]
+        self._keep = kept_weights[kept].astype(np.float32)[:, None]
+        self._diagonal = self._keep + squares.astype(np.float32)[:, None]
 
-    def solve(self, values: Array) -> None:
-        """Change ``values`` (T, K) in place: least |dx|² + MEET |jump of x + dx|², each column for
-        itself, by conjugate gradients."""
-        jumps = self._samples.jumps(values[self.rows])
-        residual = -np.float32(MEET) * self._gathered(jumps)
+    def solve(self, values: Array, wanted: Array) -> None:
+        """Change ``values`` (T, K) in place by dx, each column for itself, so that keep |dx|² +
+        |read of x + dx - ``wanted`` (S, K)|² is least: by conjugate gradients."""
+        residual = self._gathered(wanted - self._samples.read(values[self.rows]))
         x = np.zeros_like(residual)
         scaled = residual / self._diagonal
         towards, energy = scaled.copy(), _dot(residual, scaled)
@@ -96,7 +111,7 @@ class Stitch:
         for _ in range(STEPS):
             if (energy <= enough).all():
                 break
-            image = towards + np.float32(MEET) * self._gathered(self._samples.jumps(towards))
+            image = self._keep * towards + self._gathered(self._samples.read(towards))
             length = _ratio(energy, _dot(towards, image))
             x += length * towards
             residual -= length * image
@@ -123,3 +138,39 @@ def _dot(a: Array, b: Array) -> Float:
 
 def _ratio(a: Float, b: Float) -> Array:
     return np.asarray(a / np.where(b > 0, b, 1) * (b > 0), np.float32)
+
+
+def borders(
+    layout: Layout, index: Index, centres: Places, at: npt.NDArray[np.int32], found: Index
+) -> tuple[Samples, Index, Float]:
+    """The reads where texels of the rows ``found`` were traced whose own centres lie outside of the
+    chart, the rows (B,) of these texels, and how far outside all lie (T,), in texels.  ``centres``
+    are the places on the surface nearest to the centres of the texels ``index`` (T,)."""
+    size, outside = layout.size, np.empty(len(index))
+    place = np.empty((len(index), 2))
+    for first in range(0, len(index), PIECE):
+        some = slice(first, first + PIECE)
+        corners = layout.corners[centres.triangles[some]]
+        place[some] = np.einsum("pk,pkc->pc", centres.barycentric[some], corners)
+        its = np.stack([index[some] % size, index[some] // size], axis=1)
+        outside[some] = np.linalg.norm(place[some] - its, axis=1)
+    outside[outside <= BEYOND] = 0
+    mine = found[outside[found] > 0]
+    texels, weights = footprint((place[mine] + 0.5) / size, size)
+    rows = at.reshape(-1)[texels].astype(np.int64)
+    both = np.concatenate([np.maximum(rows, 0), np.zeros_like(rows)], axis=1)
+    shares = np.concatenate([np.where(rows >= 0, weights, 0), np.zeros_like(weights)], axis=1)
+    return Samples(both, shares.astype(np.float32)), mine, outside
+
+
+def stitch(values: Array, seams: Samples, border: Samples, own: Index, outside: Float) -> None:
+    """Change ``values`` (T, K) in place: reads across ``seams`` meet, and those at the ``border``
+    find the values that its texels ``own`` (B,), traced there, have now.  ``outside`` (T,) is how
+    far the centre of each texel lies from the chart, in texels."""
+    if not len(seams.rows) + len(border.rows):
+        return
+    keep = np.where(outside > 0, 0.5 * np.square(np.maximum(1 - outside, 0)), 1)
+    both = Samples(seams.rows, np.float32(MEET**0.5) * seams.weights).and_(border, FOUND**0.5)
+    nothing = np.zeros((len(seams.rows), values.shape[1]), np.float32)
+    wanted = np.concatenate([nothing, np.float32(FOUND**0.5) * values[own]])
+    Stitch(both, np.maximum(keep, LEAST_KEPT).astype(np.float32)).solve(values, wanted)
