@@ -30,6 +30,7 @@ from . import (
 from .atlas_files import Target
 from .prt import job as jobs
 from .prt import layout as layouts
+from .prt.bounces.sources import channels_of
 from .prt.errors import BakeError
 from .prt.layout import Layout
 from .prt.light import residual
@@ -60,18 +61,25 @@ def bake(
         objects = _objects(object_names)
         target.check()
         receivers = textures.receivers(objects, scene.check_objects(objects), target)
-        least, most = _possible(bpy.data.scenes[scene_name], settings, hdri)
+        occluders = scene_occluders.read(
+            bpy.context.evaluated_depsgraph_get(), with_albedo=settings.bounces != 0
+        )
+        channels = channels_of(occluders.albedo)
+        least, most = _possible(bpy.data.scenes[scene_name], settings, hdri, channels)
         carriers = [receiver.carrier for receiver in receivers]
         writeback.check(bpy.data.scenes[scene_name], objects, most, least, carriers)
         largest = _largest_image(settings, most) if target.carrier != "vertex" else 0
         notes = writeback.notes(bpy.data.scenes[scene_name], objects, largest)
+        notes += map(figures.does_not_light, occluders.emitters)
         stamps = [
-            _stamp(obj, most, receiver.domain)
+            replace(_stamp(obj, most, receiver.domain), bounces=settings.bounces)
             for obj, receiver in zip(objects, receivers, strict=True)
         ]
         yield jobs.Progress("scene", 0.0)
         settings = replace(settings, residual=most.turns > 0, peaks=most.lights)
-        job, light = _read(scene_name, receivers, settings, hdri, folder)
+        job = jobs.Job(settings=settings, receivers=receivers, **_standing(occluders))
+        light = _light(scene_name, hdri, folder)
+        job = replace(job, light=light.source)
         results = yield from engine.run(job, folder)
         is_cubemap = results.report["light"]["projection"] == "cubemap"
         state = _light_state(light, results, follows=light.follows and not is_cubemap)
@@ -92,9 +100,13 @@ def verify(scene_name: str, object_names: Sequence[str], settings: jobs.Settings
     objects = _objects(object_names)
     receivers = scene.check_objects(objects)
     marks = [_stamp_of(obj) for obj in objects]
-    order = marks[0].order
+    order, bounces = marks[0].order, marks[0].bounces
     if any(mark.order != order for mark in marks):
         raise BakeError("The objects were baked with different orders: verify one order at a time")
+    if any(mark.bounces != bounces for mark in marks):
+        raise BakeError(
+            "The objects were baked with different bounces: verify those with the same together"
+        )
     state = light_state.read(bpy.data.scenes[scene_name])
     receivers = tuple(
         _with_what_is_shown(*one, state, settings)
@@ -102,7 +114,8 @@ def verify(scene_name: str, object_names: Sequence[str], settings: jobs.Settings
     )
     with engine.job_folder() as folder:
         yield jobs.Progress("scene", 0.0)
-        job = _verify_job(scene_name, receivers, replace(settings, order=order), folder)
+        settings = replace(settings, order=order, bounces=bounces)
+        job = _verify_job(scene_name, receivers, settings, folder)
         results = yield from engine.run(job, folder)
     for obj, entry in zip(_objects(object_names), results.report["objects"], strict=True):
         at_bake = state is not None and light_state.is_baked(state) and stamp.share(obj) == 1.0
@@ -143,16 +156,16 @@ def _stamp_of(obj: bpy.types.Object) -> stamp.Stamp:
 
 
 def _possible(
-    owner: bpy.types.Scene, settings: jobs.Settings, hdri: str | None
+    owner: bpy.types.Scene, settings: jobs.Settings, hdri: str | None, channels: int
 ) -> tuple[Layout, Layout]:
     """The least and the most that a bake may store: a colour has nothing that an order leaves out,
-    and what is worth its float is only known in the end."""
+    what is worth its float is only known in the end, and coloured surfaces take three channels."""
     simple = world.read_nodes(owner, bpy.context.evaluated_depsgraph_get()) if not hdri else None
     is_colour = simple is not None and simple.image is None
     turns = 0 if is_colour or not settings.residual else settings.turns
-    most = Layout(settings.order, 1, turns, 0 if is_colour else settings.peaks)
+    most = Layout(settings.order, channels, turns, 0 if is_colour else settings.peaks)
     may_be_cut = settings.final_light or settings.tolerance > 0
-    return Layout(1 if may_be_cut else settings.order, 1, turns), most
+    return Layout(1 if may_be_cut else settings.order, channels, turns), most
 
 
 def _largest_image(settings: jobs.Settings, most: Layout) -> int:
@@ -168,21 +181,23 @@ def _largest_image(settings: jobs.Settings, most: Layout) -> int:
     return side * max(tile_grid(count))
 
 
-def _read(
-    scene_name: str,
-    receivers: tuple[jobs.Receiver, ...],
-    settings: jobs.Settings,
-    hdri: str | None,
-    folder: Path,
-) -> tuple[jobs.Job, WorldLight]:
-    """The job of a bake, and the light that it reads."""
+def _light(scene_name: str, hdri: str | None, folder: Path) -> WorldLight:
+    """The light of a bake."""
+    if hdri is not None:
+        return world.from_file(hdri)
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    if hdri is None:
-        light = world.read(bpy.data.scenes[scene_name], depsgraph, folder)
-    else:
-        light = world.from_file(hdri)
-    job = jobs.Job(settings=settings, light=light.source, receivers=receivers)
-    return _with_occluders(job, depsgraph), light
+    return world.read(bpy.data.scenes[scene_name], depsgraph, folder)
+
+
+def _standing(found: scene_occluders.Occluders) -> dict[str, Any]:
+    """What a job says of all that stops light."""
+    return {
+        "occluder_vertices": found.vertices,
+        "occluder_triangles": found.triangles,
+        "occluder_starts": found.starts,
+        "occluder_albedo": found.albedo,
+        "repairs": found.repairs,
+    }
 
 
 def _verify_job(
@@ -197,19 +212,8 @@ def _verify_job(
         light = world.read(bpy.data.scenes[scene_name], depsgraph, folder).source
     except BakeError:
         light = None
-    return _with_occluders(jobs.Job("verify", settings, light, receivers), depsgraph)
-
-
-def _with_occluders(job: jobs.Job, depsgraph: bpy.types.Depsgraph) -> jobs.Job:
-    """``job`` with all that stops light."""
-    found = scene_occluders.read(depsgraph)
-    return replace(
-        job,
-        occluder_vertices=found.vertices,
-        occluder_triangles=found.triangles,
-        occluder_starts=found.starts,
-        repairs=found.repairs,
-    )
+    found = scene_occluders.read(depsgraph, with_albedo=settings.bounces != 0)
+    return jobs.Job("verify", settings, light, receivers, **_standing(found))
 
 
 def _with_what_is_shown(

@@ -2,7 +2,7 @@
 
 from math import sqrt
 
-from .prt.job import Progress
+from .prt.job import ALL, Progress
 from .stamp import Stamp
 
 COARSE = 0.02  # of error between the vertices is worth a word
@@ -15,6 +15,7 @@ PHASES = {
     "choose": "Choosing between vertices and texture",
     "unwrap": "Unwrapping",
     "transfer": "Tracing",
+    "bounces": "Letting the light bounce",
     "fill": "Filling the texture",
     "write": "Writing the texture",
     "verify": "Tracing again to verify",
@@ -59,7 +60,7 @@ def progress_line(progress: Progress) -> str:
 def stamp_lines(stamp: Stamp) -> list[str]:
     """What a bake says of itself: size, speed, and its errors where they are known."""
     return [
-        f"order {stamp.order}, {_size(stamp)}",
+        f"order {stamp.order}{_bounces(stamp)}, {_size(stamp)}",
         *([stamp.why] if stamp.why else []),
         f"{stamp.rays:,} rays a point, {_speed([stamp])}",
         *_errors([stamp]),
@@ -105,6 +106,19 @@ def megabytes(size: float) -> str:
     if value < 0.1:
         return f"{max(1, round(size / 1e3))} kB"
     return f"{value:.0f} MB" if value >= 9.95 else f"{value:.1f} MB"
+
+
+def does_not_light(name: str) -> str:
+    """That an object which shines lights nothing."""
+    return f"{name!r} shines, but the bake holds the light of the world alone"
+
+
+def _bounces(stamp: Stamp) -> str:
+    if not stamp.bounces:
+        return ""
+    if stamp.bounces == ALL:
+        return ", all bounces"
+    return f", {stamp.bounces} bounce{'s' * (stamp.bounces > 1)}"
 
 
 def another_light(name: str) -> str:

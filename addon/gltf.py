@@ -22,7 +22,7 @@ from . import (
     light_state,
     stamp,
 )
-from .gltf_attributes import BASIS, INCLUDES, VERSION
+from .gltf_attributes import BASIS, BOUNCES, INCLUDES, VERSION
 from .prt import sh
 from .prt.job import Peak
 from .prt.layout import Layout
@@ -199,7 +199,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
                     primitive.attributes, shown.attributes, read[key], scale
                 )
             primitive.attributes = replaced[key]
-        description = _description(shown, matrix, scale)
+        description = _description(shown, matrix, scale, bool(self._bakes[obj].bounces))
         twin.extras = {**(mesh.extras or {}), "prt": description}
         return twin
 
@@ -240,7 +240,7 @@ def _attribute_names(mesh: Any) -> set[str]:
     return {name for primitive in mesh.primitives for name in primitive.attributes}
 
 
-def _description(layout: Layout, matrix: Any, scale: Any | None) -> dict[str, Any]:
+def _description(layout: Layout, matrix: Any, scale: Any | None, bounces: bool) -> dict[str, Any]:
     """``mesh.extras.prt``; ``scale`` of every float, None where they are as they are."""
     return {
         "version": VERSION,
@@ -252,7 +252,7 @@ def _description(layout: Layout, matrix: Any, scale: Any | None) -> dict[str, An
         "matrix": matrix.ravel(order="F").tolist(),
         "basis": BASIS,
         "scale": 1 if scale is None else scale.tolist(),
-        "includes": INCLUDES,
+        "includes": INCLUDES + BOUNCES * bounces,
     }
 
 

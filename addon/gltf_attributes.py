@@ -18,6 +18,7 @@ Accessors = dict[str, Any]
 VERSION = 1  # of the schema, docs/gltf.md
 BASIS = "real orthonormal, no Condon-Shortley, l(l+1)+m"
 INCLUDES = "visibility, cosine / pi"
+BOUNCES = ", bounces"  # after that, where light of other surfaces is inside too
 
 FLOAT, SHORT = 5126, 5122
 LARGEST = 32767  # of a normalized SHORT, which stands for 1

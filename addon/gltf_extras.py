@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .gltf_attributes import BASIS, INCLUDES, VERSION
+from .gltf_attributes import BASIS, BOUNCES, INCLUDES, VERSION
 from .gltf_frame import Y_UP, turn_matrix
 from .light_state import LightState
 from .prt import sh
@@ -24,12 +24,14 @@ Float = npt.NDArray[np.float64]
 class FileBake:
     """``mesh.extras.prt``: ``columns`` (4 k) are the places of the slots of ``layout`` in the
     file's floats, -1 where unused, ``scale`` (4 k) what the file's floats are multiplied with, and
-    ``matrix`` (3, 3) the world matrix when baked, Z up."""
+    ``matrix`` (3, 3) the world matrix when baked, Z up.  ``bounces`` is whether light of other
+    surfaces is inside."""
 
     layout: Layout
     columns: tuple[int, ...]
     scale: Float
     matrix: Float
+    bounces: bool = False
 
     @property
     def count(self) -> int:
@@ -54,7 +56,8 @@ def read_bake(prt: Any) -> FileBake:
     _check(prt.get("frame") == "world", f'frame "{prt.get("frame")}" is not "world"')
     _check(prt.get("basis") == BASIS, f'basis "{prt.get("basis")}" is not that of version 1')
     includes = prt.get("includes")
-    _check(includes == INCLUDES, f'"{includes}" is not what a transfer of version 1 includes')
+    known = (INCLUDES, INCLUDES + BOUNCES)
+    _check(includes in known, f'"{includes}" is not what a transfer of version 1 includes')
     slots = prt.get("layout")
     named = isinstance(slots, Sequence) and bool(slots) and len(slots) % 4 == 0
     _check(named and not isinstance(slots, str), "layout is not four names an attribute")
@@ -63,7 +66,8 @@ def read_bake(prt: Any) -> FileBake:
     scale = _numbers(scale, (len(slots),), f"scale is neither 1 nor {len(slots)} numbers")
     matrix = _numbers(prt.get("matrix"), (9,), "matrix is not nine numbers")
     columns = tuple(slots.index(name) if name else -1 for name in layout.slots)
-    return FileBake(layout, columns, scale, turn_matrix(matrix, Y_UP.T))
+    turned = turn_matrix(matrix, Y_UP.T)
+    return FileBake(layout, columns, scale, turned, includes != INCLUDES)
 
 
 def _layout(prt: Mapping[str, Any], slots: Sequence[str]) -> Layout:

@@ -112,6 +112,7 @@ class glTF2ImportUserExtension:  # the importer looks for this name
             layout = _shown(bake.layout, len(light.peaks), shares[obj])
             result = _result(obj, bake, values, layout, turn)
             made = _stamp(obj, layout, carrier.needs_modifier(obj, depsgraph))
+            made = replace(made, bounces=ALL if bake.bounces else 0)
             groups.setdefault((layout.order, layout.channels), []).append((obj, result, made))
         for group in groups.values():
             layout = layouts.covering(result for _, result, _ in group)

@@ -28,6 +28,7 @@ SETTINGS = (
     "turns",
     "peaks",
     "final_light",
+    "bounces",
     "seed",
     "threads",
     "resolution",

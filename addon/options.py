@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from .prt.errors import BakeError
+from .prt.job import ALL
 
-LATER = "(not available yet)"
 SMALLEST_ERROR, LARGEST_ERROR = 0.001, 0.5
 
 
@@ -35,6 +35,7 @@ class Options:
     turns: int | None
     peaks: int | None
     final_light: bool | None
+    bounces: int | None
     cache: bool
     seed: int | None
     threads: int | None
@@ -54,7 +55,6 @@ class Options:
 def parse(program: str, arguments: list[str], with_blend: bool) -> Options:
     """Read ``arguments``; BakeError says what is wrong with them."""
     found = _parser(program, with_blend).parse_args(arguments)
-    _refuse_later(found)
     for option, suffix in (("save", ".blend"), ("gltf", ".glb"), ("report", ".json")):
         path = getattr(found, option)
         if path is not None and path.suffix.lower() != suffix and not path.is_dir():
@@ -107,7 +107,12 @@ def _add_how(parser: _Parser) -> None:
     add("--carrier", choices=carriers, help="where to; auto: the smaller that is good enough")
     _add_textures(parser)
     add("--order", type=_whole(2, 5), metavar="N", help="bands of the light, 2 to 5")
-    add("--bounces", type=_whole(0, 16), default=0, metavar="K", help=f"0: shadows only {LATER}")
+    add(
+        "--bounces",
+        type=_bounces,
+        metavar="K|all",
+        help="of light from surface to surface, 0: shadows only; all: until nothing is left",
+    )
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument("--rays", type=_whole(16, 65536), metavar="N", help="rays a point")
     effort.add_argument(
@@ -182,16 +187,6 @@ def _add_where(parser: _Parser) -> None:
     add("--verify", action="store_true", help="trace some points again and print the error")
 
 
-def _refuse_later(found: argparse.Namespace) -> None:
-    """Refuse what this version cannot do."""
-    asked = {
-        f"--bounces {found.bounces}": found.bounces > 0,
-    }
-    for option, wanted in asked.items():
-        if wanted:
-            raise BakeError(f"{option} is not available yet: leave it out")
-
-
 def _whole(smallest: int, largest: int) -> Callable[[str], int]:
     def number(text: str) -> int:
         try:
@@ -213,6 +208,11 @@ def _side(text: str) -> int:
         message = f"{text!r} is no power of two: graphics cards halve textures again and again"
         raise argparse.ArgumentTypeError(message)
     return value
+
+
+def _bounces(text: str) -> int:
+    """So many, or all of them."""
+    return ALL if text == "all" else _whole(0, 64)(text)
 
 
 def _share(text: str) -> float:

@@ -6,7 +6,7 @@ import bpy
 
 from . import cache_folder
 from .atlas_files import Target
-from .prt.job import Settings
+from .prt.job import ALL, Settings
 
 VERIFY_POINTS = 256  # of each object, traced again by brute force: enough to tell 1 % from 1.1 %
 
@@ -73,6 +73,22 @@ class PRT_PG_settings(bpy.types.PropertyGroup):
     final_light: bpy.props.BoolProperty(
         name="Final Light",
         description="This world will not be exchanged: what it does not show is not stored",
+        default=False,
+        options=set(),
+    )
+    bounces: bpy.props.IntProperty(
+        name="Bounces",
+        description="How often light goes on from surface to surface, with its colour: 0 is "
+        "shadows alone, 3 holds most of it. Coloured surfaces take three times the attributes",
+        default=0,
+        min=0,
+        max=64,
+        soft_max=8,
+        options=set(),
+    )
+    all_bounces: bpy.props.BoolProperty(
+        name="All Bounces",
+        description="Go on until what a bounce adds is too little to see",
         default=False,
         options=set(),
     )
@@ -201,6 +217,7 @@ def settings(scene: bpy.types.Scene, verify: bool = False) -> Settings:
         shared_atlas=chosen.shared_atlas,
         padding_mip=chosen.padding_mip,
         half=chosen.half,
+        bounces=ALL if chosen.all_bounces else chosen.bounces,
         cache=cache_folder.path(),
         seed=chosen.seed,
         threads=chosen.threads,

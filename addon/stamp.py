@@ -39,7 +39,7 @@ class Stamp:
     *Verify* found them, and ``measured_at_points`` the noise alone.  Of the light that leaves a
     white surface: ``light_error`` as measured where the world is ``light_at_bake`` (else it was
     another one by then), and ``plain_error``, what the light's order leaves out where no residual
-    mends it."""
+    mends it.  ``bounces`` are those that were asked for."""
 
     order: int
     channels: int
@@ -65,6 +65,7 @@ class Stamp:
     own_uvs: bool = False
     uv_key: str = ""
     why: str = ""
+    bounces: int = 0
     version: int = VERSION
 
     @property

@@ -42,13 +42,14 @@ def relative_error(picture: Picture, truth: Truth, covered: Mask) -> float:
     return float(np.sqrt(max(error, 0.0)))
 
 
-def truth(cache: Path) -> Truth:
-    """Cycles' pictures of the scene that is open, under its world as it is."""
-    path = cache / f"{_key()}.npz"
+def truth(cache: Path, bounces: int = 0) -> Truth:
+    """Cycles' pictures of the scene that is open, under its world as it is, with diffuse light that
+    bounces so many times."""
+    path = cache / f"{_key()}{f'-{bounces}' if bounces else ''}.npz"
     if not path.exists():
         cache.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory() as folder:
-            pictures = [colour(_cycles(Path(folder), SAMPLES, seed)) for seed in (1, 2)]
+            pictures = [colour(_cycles(Path(folder), SAMPLES, seed, bounces)) for seed in (1, 2)]
         np.savez(path, first=pictures[0], second=pictures[1])
     with np.load(path) as kept:
         return Truth(kept["first"], kept["second"])
@@ -104,12 +105,13 @@ def colour(picture: dict[str, Picture]) -> Picture:
     return np.stack([picture[f"Combined.{c}"] for c in "RGB"], axis=-1)
 
 
-def _cycles(folder: Path, samples: int, seed: int) -> dict[str, Picture]:
-    """Diffuse light of the whole HDRI, no bounces."""
+def _cycles(folder: Path, samples: int, seed: int, bounces: int = 0) -> dict[str, Picture]:
+    """Diffuse light of the whole HDRI."""
     scene, cycles = bpy.context.scene, bpy.context.scene.cycles
     scene.render.engine = "CYCLES"
     cycles.samples, cycles.seed = samples, seed
-    cycles.max_bounces, cycles.light_sampling_threshold = 0, 0
+    cycles.max_bounces = cycles.diffuse_bounces = bounces
+    cycles.light_sampling_threshold = 0
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
     cycles.use_denoising = cycles.use_adaptive_sampling = False
     cycles.pixel_filter_type, cycles.filter_width = "GAUSSIAN", 0.01

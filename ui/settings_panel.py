@@ -23,7 +23,11 @@ class PRT_PT_settings(SidebarPanel, bpy.types.Panel):
         layout.prop(chosen, "carrier")
         layout.prop(chosen, "order")
         if chosen.carrier != "TEXTURE":
-            hint(layout, f"{used_attributes(chosen)} of EEVEE's {MAX_ATTRIBUTES} attributes")
+            hint(layout, attributes_hint(chosen))
+            bounces = layout.row()
+            bounces.active = not chosen.all_bounces
+            bounces.prop(chosen, "bounces")
+            layout.prop(chosen, "all_bounces")
         layout.prop(chosen, "quality")
         layout.prop(chosen, "rays" if chosen.quality == "RAYS" else "tolerance")
         layout.prop(chosen, "seed")
@@ -94,9 +98,19 @@ def split(layout: bpy.types.UILayout) -> bpy.types.UILayout:
 
 
 def used_attributes(chosen: bpy.types.PropertyGroup) -> int:
-    """How many vertex attributes a bake takes at most."""
+    """How many vertex attributes a bake of grey surfaces takes at most."""
     turns = chosen.turns if chosen.residual else 0
     return len(Layout(chosen.order, 1, turns, chosen.peaks).attributes)
+
+
+def attributes_hint(chosen: bpy.types.PropertyGroup) -> str:
+    """What a bake takes of the attributes; with bounces, of coloured surfaces too."""
+    grey = used_attributes(chosen)
+    whole = f"{grey} of EEVEE's {MAX_ATTRIBUTES} attributes"
+    turns = chosen.turns if chosen.residual else 0
+    coloured = len(Layout(chosen.order, 3, turns, chosen.peaks).attributes)
+    bounces = chosen.bounces or chosen.all_bounces
+    return f"{whole}, {coloured} where colours bounce" if bounces else whole
 
 
 def megabytes(chosen: bpy.types.PropertyGroup) -> float:

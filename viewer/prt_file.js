@@ -1,7 +1,7 @@
 // Reads and checks what docs/gltf.md puts into a glTF file. Errors are sentences for people.
 
 const BASIS = 'real orthonormal, no Condon-Shortley, l(l+1)+m';
-const INCLUDES = 'visibility, cosine / pi';
+const INCLUDES = ['visibility, cosine / pi', 'visibility, cosine / pi, bounces'];
 
 const numbers = (values, count) =>
   Array.isArray(values) && values.length === count && values.every(Number.isFinite);
@@ -18,7 +18,7 @@ export function readBake(prt, geometry) {
   check(prt.channels === 1 || prt.channels === 3, `${prt.channels} channels are neither 1 nor 3`);
   check(prt.frame === 'world', `frame "${prt.frame}" is not "world"`);
   check(prt.basis === BASIS, `basis "${prt.basis}" is not the one of version 1`);
-  check(prt.includes === INCLUDES, `"${prt.includes}" is not what a transfer of version 1 includes`);
+  check(INCLUDES.includes(prt.includes), `"${prt.includes}" is not what a transfer of version 1 includes`);
   check(numbers(prt.matrix, 9), 'matrix is not nine numbers');
   const turns = prt.turns ?? (prt.layout?.includes?.('R0r') ? 1 : 0);
   checkLayout(prt, turns);

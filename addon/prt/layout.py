@@ -144,6 +144,7 @@ def _advice(layout: Layout) -> str:
     """What would take fewer attributes."""
     savings = {
         "choose a lower order": replace(layout, order=2),
+        "no bounces": replace(layout, channels=1),
         "fewer turns": replace(layout, turns=min(1, layout.turns)),
         "fewer peaks": replace(layout, lights=0),
         "no residual (Exact at This World)": replace(layout, turns=0),
