@@ -77,6 +77,10 @@ def bake(
         ]
         yield jobs.Progress("scene", 0.0)
         settings = replace(settings, residual=most.turns > 0, peaks=most.lights)
+        if settings.bounces and settings.peaks and not settings.residual:
+            raise BakeError(
+                "Peaks that bounce need Exact at This World: switch that on, or choose no peaks"
+            )
         job = jobs.Job(settings=settings, receivers=receivers, **_standing(occluders))
         light = _light(scene_name, hdri, folder)
         job = replace(job, light=light.source)

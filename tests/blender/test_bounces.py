@@ -196,7 +196,7 @@ def test_without_bounces_the_bake_is_what_it_was(scene, corner):
 def test_order_5_in_colour_is_refused_before_baking(scene, corner):
     shader(corner[1].data.materials[0]).inputs["Base Color"].default_value = (0.8, 0.1, 0.1, 1)
     settings = replace(properties.settings(scene), bounces=1, order=5)
-    with pytest.raises(BakeError, match="3 channels .* or no bounces"):
+    with pytest.raises(BakeError, match=r"3 channels .* or no bounces"):
         finish(bake.bake(scene.name, [obj.name for obj in corner], settings))
     assert not any(stamp.KEY in obj for obj in corner)
 
