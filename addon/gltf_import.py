@@ -7,6 +7,7 @@ with its plain material and a sentence says why.
 """
 
 from copy import copy
+from dataclasses import replace
 from typing import Any
 
 import bpy
@@ -20,6 +21,7 @@ from .gltf_extras import FileBake, read_bake, read_light
 from .light_state import LightState
 from .prt import layout as layouts
 from .prt.errors import BakeError
+from .prt.job import ALL
 from .prt.layout import PREFIX, Layout
 from .prt.results import ReceiverResult
 

@@ -17,17 +17,17 @@ class PRT_PT_settings(SidebarPanel, bpy.types.Panel):
     bl_parent_id = "PRT_PT_bake"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Order with what it costs, rays, seed, threads."""
+        """Order and bounces with what they cost, rays, seed, threads."""
         chosen = context.scene.prt
         layout = split(self.layout)
         layout.prop(chosen, "carrier")
         layout.prop(chosen, "order")
         if chosen.carrier != "TEXTURE":
             hint(layout, attributes_hint(chosen))
-            bounces = layout.row()
-            bounces.active = not chosen.all_bounces
-            bounces.prop(chosen, "bounces")
-            layout.prop(chosen, "all_bounces")
+        bounces = layout.row()
+        bounces.active = not chosen.all_bounces
+        bounces.prop(chosen, "bounces")
+        layout.prop(chosen, "all_bounces")
         layout.prop(chosen, "quality")
         layout.prop(chosen, "rays" if chosen.quality == "RAYS" else "tolerance")
         layout.prop(chosen, "seed")

@@ -97,7 +97,7 @@ def test_shared_meshes_are_read_once(scene, monkeypatch):
         place(mesh, matrix=Matrix.Translation((3 * i, 0, 0)))
     read = []
     once = scene_occluders._read_mesh
-    monkeypatch.setattr(scene_occluders, "_read_mesh", lambda o: read.append(o) or once(o))
+    monkeypatch.setattr(scene_occluders, "_read_mesh", lambda o, a: read.append(o) or once(o, a))
     _, triangles, _ = occluders()
     assert len(read) == 1
     assert len(triangles) == 20 * len(mesh.polygons)

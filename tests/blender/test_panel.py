@@ -149,9 +149,16 @@ def test_the_settings_tell_what_an_order_costs(context):
     context.scene.prt.order = 5
     notes = drawn(settings_panel.PRT_PT_settings, context)
     assert notes[:3] == ["<carrier>", "<order>", "7 of EEVEE's 14 attributes"]
-    assert notes[3:] == ["<quality>", "<rays>", "<seed>", "<threads>"]
+    assert notes[3:5] == ["<bounces>", "<all_bounces>"]
+    assert notes[5:] == ["<quality>", "<rays>", "<seed>", "<threads>"]
     context.scene.prt.quality = "TOLERANCE"
-    assert drawn(settings_panel.PRT_PT_settings, context)[4] == "<tolerance>"
+    assert drawn(settings_panel.PRT_PT_settings, context)[6] == "<tolerance>"
+
+
+def test_the_settings_tell_what_colours_that_bounce_cost(context):
+    context.scene.prt.bounces = 3
+    whole = "3 of EEVEE's 14 attributes, 8 where colours bounce"
+    assert whole in drawn(settings_panel.PRT_PT_settings, context)
 
 
 def test_the_settings_tell_what_a_texture_costs(context):
