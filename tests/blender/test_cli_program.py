@@ -48,6 +48,26 @@ def test_a_bake_from_file_to_files(blend, tmp_path):
     assert bpy.data.objects["Ällike ../x"]["prt_baked"] == 1.0
 
 
+def test_a_bake_into_a_texture_lies_beside_what_is_saved(blend, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    size = "--carrier", "texture", "--resolution", 512, "--rays", 16
+    where = "--save", out / "lit.blend", "--gltf", out / "lit.glb", "--report", out / "r.json"
+    done = prt_bake(blend, *size, *where)
+    assert done.returncode == 0, done.stderr
+    assert "bakes in textures do not go into glTF yet" in done.stderr
+    assert "texels of 512 x 512" in done.stdout
+    names = sorted(path.name for path in out.iterdir())
+    assert names == ["lit PRT.exr", "lit.blend", "lit.glb", "r.json"]
+    [entry] = json.loads((out / "r.json").read_text("utf-8"))["objects"]
+    assert entry["carrier"] == "texture"
+    bpy.ops.wm.open_mainfile(filepath=str(out / "lit.blend"))
+    obj = bpy.data.objects["Ällike ../x"]
+    assert obj["prt_baked"] == 1.0
+    assert obj["prt_image"].filepath == "//lit PRT.exr"
+    assert tuple(obj["prt_image"].size) == (1024, 1024)
+
+
 @pytest.mark.parametrize("damage", ["missing", "folder", "garbage", "cut short", "empty"])
 def test_a_bad_blend_is_one_sentence(blend, tmp_path, damage):
     path = tmp_path / "bad one.blend"

@@ -63,6 +63,7 @@ def write_rgba(
     ``metadata`` as attributes in the header.  OSError where there is no room."""
     import OpenEXR
 
+    OpenEXR.set_global_thread_count(os.cpu_count() or 1)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     kind = np.float16 if half else np.float32
     if half:
