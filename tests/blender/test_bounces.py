@@ -6,8 +6,18 @@ import bpy
 import numpy as np
 import pytest
 from bakes import add, link, output_of, principled, quad, shader
-from prt_baker.addon import albedo_plan, bake, properties, scene_occluders, stamp
+from prt_baker.addon import (
+    albedo_bake,
+    albedo_plan,
+    bake,
+    gltf,
+    gltf_extras,
+    properties,
+    scene_occluders,
+    stamp,
+)
 from prt_baker.addon.prt.errors import BakeError
+from prt_baker.addon.prt.layout import Layout
 
 
 def albedo(obj):
@@ -115,7 +125,6 @@ def test_a_colour_attribute(scene):
 
 def test_other_nodes_are_baked_by_cycles_once_and_leave_nothing(scene, monkeypatch):
     """A gamma node, of which we know what it does."""
-    from prt_baker.addon import albedo_bake
 
     material = principled()
     gamma = add(material, "Gamma", Color=(0.5, 0.25, 1.0, 1), Gamma=2.0)
@@ -209,3 +218,11 @@ def test_verify_follows_the_light_too(scene, corner):
     checked = replace(settings, bounces=0, verify_points=40, verify_rays=4096)
     finish(bake.verify(scene.name, names, checked))
     assert stamp.read(corner[0]).measured_error < 0.04
+
+
+@pytest.mark.parametrize("bounces", [False, True])
+def test_gltf_says_whether_bounces_are_inside(bounces):
+    packing = Layout(3, 3 if bounces else 1)
+    written = gltf._description(packing, np.eye(3), None, bounces)
+    assert written["includes"] == "visibility, cosine / pi" + ", bounces" * bounces
+    assert gltf_extras.read_bake(written).bounces is bounces
