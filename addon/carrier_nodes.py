@@ -10,7 +10,7 @@ from . import uv_maps
 
 TAG = "prt_carrier_group"
 PULL = 0.01  # of the way from a corner to the middle of its face
-ACROSS = 3.0  # times as far as half way: not on the same chart
+ACROSS = 0.5  # of half way off the straight line: on another chart
 COLOUR = ("FLOAT_COLOR", "FLOAT_COLOR", "RGBA")  # as it is stored, read, and switched between
 UVS = ("FLOAT2", "FLOAT_VECTOR", "VECTOR")
 COUNTS = {"POINT": "Point Count", "CORNER": "Face Corner Count"}
@@ -191,28 +191,25 @@ def _uvs_nearby(
     """UVs of the nearest surface.  Where a corner lies beside a seam, another chart may be nearer:
     then its face's middle, and what lies half way there, tell where its own chart goes on."""
     corner, half, middle = (_nearest(tree, source, value, x, share) for share in (PULL, 0.5, 1))
-    vectors = [
-        _node(tree, "ShaderNodeVectorMath", x, -1300 - 150 * row, operation="SUBTRACT")
-        for row in range(2)
-    ]
-    lengths = []
-    for node, end in zip(vectors, (corner, half), strict=True):
-        tree.links.new(end, node.inputs[0])
-        tree.links.new(middle, node.inputs[1])
-        length = _node(tree, "ShaderNodeVectorMath", x, -1600, operation="LENGTH")
-        tree.links.new(node.outputs[0], length.inputs[0])
-        lengths.append(length.outputs["Value"])
-    bound = _node(tree, "ShaderNodeMath", x, -1700, operation="MULTIPLY")
-    bound.inputs[1].default_value = ACROSS
-    tree.links.new(lengths[1], bound.inputs[0])
-    is_across = _node(tree, "ShaderNodeMath", x, -1800, operation="GREATER_THAN")
-    tree.links.new(lengths[0], is_across.inputs[0])
-    tree.links.new(bound.outputs[0], is_across.inputs[1])
-    further = _node(tree, "ShaderNodeVectorMath", x, -1900, operation="MULTIPLY_ADD")
+    on_chart = _node(tree, "ShaderNodeVectorMath", x, -1300, operation="SUBTRACT")
+    tree.links.new(half, on_chart.inputs[0])
+    tree.links.new(middle, on_chart.inputs[1])
+    further = _node(tree, "ShaderNodeVectorMath", x, -1450, operation="MULTIPLY_ADD")
     further.inputs[1].default_value = (2, 2, 2)
-    tree.links.new(vectors[1].outputs[0], further.inputs[0])
+    tree.links.new(on_chart.outputs[0], further.inputs[0])
     tree.links.new(middle, further.inputs[2])
-    switch = _node(tree, "GeometryNodeSwitch", x, -2000, input_type="VECTOR")
+    apart = _node(tree, "ShaderNodeVectorMath", x, -1600, operation="DISTANCE")
+    tree.links.new(corner, apart.inputs[0])
+    tree.links.new(further.outputs[0], apart.inputs[1])
+    length = _node(tree, "ShaderNodeVectorMath", x, -1750, operation="LENGTH")
+    tree.links.new(on_chart.outputs[0], length.inputs[0])
+    bound = _node(tree, "ShaderNodeMath", x, -1900, operation="MULTIPLY")
+    bound.inputs[1].default_value = ACROSS
+    tree.links.new(length.outputs["Value"], bound.inputs[0])
+    is_across = _node(tree, "ShaderNodeMath", x, -2050, operation="GREATER_THAN")
+    tree.links.new(apart.outputs["Value"], is_across.inputs[0])
+    tree.links.new(bound.outputs[0], is_across.inputs[1])
+    switch = _node(tree, "GeometryNodeSwitch", x, -2200, input_type="VECTOR")
     tree.links.new(is_across.outputs[0], switch.inputs["Switch"])
     tree.links.new(corner, switch.inputs["False"])
     tree.links.new(further.outputs[0], switch.inputs["True"])

@@ -1,11 +1,13 @@
 """An object whose mesh is not what is shown, or is shared, reads its bake from a carrier."""
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
+import textured
 from bakes import place, quad, random_bake, write
 from pictures import colour, look_down, render
-from prt_baker.addon import attributes, carrier, stamp, writeback
+from prt_baker.addon import attributes, carrier, stamp, uv_maps, writeback
 from prt_baker.addon.prt.layout import Layout
 
 LAYOUT = Layout(3)
@@ -201,3 +203,37 @@ def test_adaptive_subdivision_is_told(scene):
         obj.cycles.use_adaptive_subdivision = True
     [note] = writeback.notes(scene, [obj])
     assert note == "Cycles will not subdivide 'Quad' adaptively while it is baked"
+
+
+def test_uvs_of_another_count_stay_on_their_charts(scene, tmp_path):
+    """A ball whose every face is a chart of its own, and one more level of subdivision: no face
+    reaches over to another chart."""
+    mesh = bpy.data.meshes.new("Ball")
+    grown = bmesh.new()
+    bmesh.ops.create_cube(grown, size=1)
+    grown.to_mesh(mesh)
+    grown.free()
+    obj = place(scene, mesh, 0, 0)
+    modifier = obj.modifiers.new("Subdivision", "SUBSURF")
+    modifier.levels = modifier.render_levels = 2
+    side = 10  # charts along the atlas: 96 faces
+    with carrier.evaluated_mesh(obj, depsgraph()) as shown_mesh:
+        faces = np.arange(len(shown_mesh.polygons))
+    corner = np.array([(0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9)])
+    cells = np.stack([faces % side, faces // side], axis=1)[:, None]
+    uvs = ((cells + corner) / side).reshape(-1, 2).astype(np.float32)
+    image, _ = textured.atlas(tmp_path, LAYOUT, 8)
+    writeback.write(scene, [textured.bake(obj, LAYOUT, 8, uvs)], LAYOUT, [image])
+    modifier.levels = 3
+    with carrier.evaluated_mesh(obj, depsgraph()) as shown_mesh:
+        found = uv_maps.read(shown_mesh).reshape(-1, 4, 2) * side
+    assert len(found) == 4 * len(faces)
+    assert np.ptp(found, axis=1).max() < 0.55  # half a chart is 0.4, on a smoother surface
+    assert np.ptp(found, axis=1).min() > 0.3
+    np.testing.assert_array_equal(np.bincount(cell_of(found, side)), np.full(len(faces), 4))
+
+
+def cell_of(uvs, side):
+    """The chart in which the middle of each face lies."""
+    middle = uvs.mean(axis=1).astype(int)
+    return middle[:, 1] * side + middle[:, 0]
