@@ -216,6 +216,12 @@ class TestAuto:
         carriers = {result.in_atlas is None for result in results.receivers}
         assert len(carriers) == 1
 
+    def test_light_that_bounces_stays_on_vertices(self, job):
+        albedo = np.full((len(job.occluder_triangles), 3, 3), 0.5, np.float32)
+        its = self.open_job(replace(job, occluder_albedo=albedo), bounces=1)
+        _, results = finish(run(its))
+        assert all(result.in_atlas is None for result in results.receivers)
+
     def test_the_second_time_it_costs_no_ray(self, job):
         _, first = finish(run(self.open_job(job)))
         _, second = finish(run(self.open_job(job)))
