@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import shapes
 from prt_baker.addon.prt.atlas import charting, packing, uv_map
-from prt_baker.addon.prt.atlas.overlap import over_any
+from prt_baker.addon.prt.atlas.layout import Layout
+from prt_baker.addon.prt.atlas.overlap import over_any, over_each_other
 from prt_baker.addon.prt.atlas.plane import plane_areas
 from prt_baker.addon.prt.surface.edges import edges_of, welded
 from prt_baker.addon.prt.surface.points import Surface
@@ -183,3 +184,26 @@ def test_a_chart_that_xatlas_would_shrink_does_not_fit():
     )
     assert charting.packed(charts, 128, 1.0, 0) is not None
     assert charting.packed(charts, 128, 2.0, 0) is None
+
+
+def test_a_chart_that_runs_over_itself_is_taken_apart():
+    """A ramp of one turn and a half, as it is seen from above."""
+    angle = np.linspace(0, 3 * np.pi, 25)
+    rails = [np.stack([r * np.cos(angle), r * np.sin(angle), 0.1 * angle], 1) for r in (2, 1)]
+    vertices = np.concatenate(rails)
+    k = np.arange(len(angle) - 1)
+    inner, outer = k + len(angle), k
+    triangles = np.concatenate(
+        [np.stack([inner, outer, outer + 1], 1), np.stack([inner, outer + 1, inner + 1], 1)]
+    )
+    corners = vertices[triangles]
+    loops = np.arange(triangles.size).reshape(-1, 3)
+    ramp = Layout(corners, triangles, loops, corners[..., :2].copy(), np.zeros(len(k) * 2, int))
+    assert over_each_other(ramp.uvs).any()
+    ramp.true_to_scale()
+    assert (ramp.charts < 0).any()
+    ramp.mend()
+    assert (ramp.charts >= 0).all()
+    assert len(np.unique(ramp.charts)) > 1
+    for chart in np.unique(ramp.charts):
+        assert not over_each_other(ramp.uvs[ramp.charts == chart]).any()

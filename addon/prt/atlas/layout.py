@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from ..surface.points import Float, Index
 from .overlap import over_any, over_each_other
@@ -41,9 +42,11 @@ class Layout:
         area = 0.5 * np.linalg.norm(cross_products(self.corners), axis=1)
         lost = ~(plane_areas(self.uvs) > COLLAPSED * area)
         self.charts[lost] = NEITHER
+        rim = self._rim()
         for chart in range(self._count()):
             inside = np.flatnonzero(self.charts == chart)
-            self.charts[inside[over_each_other(self.uvs[inside])]] = NEITHER
+            if over_each_other(self.uvs[inside[rim[inside]]]).any():
+                self.charts[inside[over_each_other(self.uvs[inside])]] = NEITHER
 
     def mend(self) -> None:
         """Bring every polygon together in one chart, and the charts to the surface's area."""
@@ -52,6 +55,29 @@ class Layout:
                 self.uvs[polygon] = self._alone(polygon)
                 self.charts[polygon] = self.charts.max(initial=NEITHER) + 1
         self._level()
+
+    def _rim(self) -> npt.NDArray[np.bool_]:
+        """Triangles (F,) with a side that no other one of their chart has.  Where none of these lie
+        over one another nothing does: what is not folded can only run over itself from its border.
+        """
+        start, after = np.arange(self.vertices.size), np.arange(self.vertices.size)
+        after = after - after % 3 + (after + 1) % 3
+        vertices, uvs = self.vertices.reshape(-1), self.uvs.reshape(-1, 2)
+        turned = vertices[start] > vertices[after]
+        low, high = np.where(turned, after, start), np.where(turned, start, after)
+        charts = np.repeat(self.charts, 3)
+        order = np.lexsort((vertices[high], vertices[low], charts))
+        low, high, charts = low[order], high[order], charts[order]
+        same = (charts[1:] == charts[:-1]) & (vertices[low[1:]] == vertices[low[:-1]])
+        same &= vertices[high[1:]] == vertices[high[:-1]]
+        for ends in (low, high):
+            same &= (uvs[ends[1:]] == uvs[ends[:-1]]).all(axis=1)
+        shared = np.zeros(len(order), bool)
+        shared[:-1] |= same
+        shared[1:] |= same
+        rim = np.zeros(len(self.charts), bool)
+        rim[order[~shared] // 3] = True
+        return rim
 
     def _unstretch(self) -> None:
         """Give every chart the linear map that makes its mean stretch, over the surface, none."""

@@ -30,6 +30,8 @@ def over_any(some: Float, others: Float) -> Mask:
 def over_each_other(triangles: Float) -> Mask:
     """Which of ``triangles`` (T, 3, 2) share more than their border with another one."""
     low, high = triangles.min(axis=1), triangles.max(axis=1)
+    if len(triangles) and np.ptp(low[:, 1]) > np.ptp(low[:, 0]):  # sorted along the longer axis
+        low, high = low[:, ::-1], high[:, ::-1]
     order = np.argsort(low[:, 0], kind="stable")
     low, high, sorted_triangles = low[order], high[order], triangles[order]
     ends = np.searchsorted(low[:, 0], high[:, 0])
