@@ -67,7 +67,7 @@ class Tracer:
         """What is found (M, K) at ``places`` (M,) with ``share`` of the rays, and which of them are
         buried.  Yields the rays cast so far."""
         rays = max(FEWEST, round(self.rays * share))
-        origins, normals = self._starts(places)
+        origins, normals = yield from self._starts(places)
         order = morton_order(origins.astype(np.float64))
         origins, normals = origins[order], normals[order]
         before, steps = self.cast, self._trace(origins, normals, rays)
@@ -101,11 +101,13 @@ class Tracer:
         some = seen & (np.arange(len(seen)) % self._thin == 0)
         self._found.append(traced[some])
 
-    def _starts(self, places: Places) -> tuple[Array, Array]:
-        pieces = [self.mesh.starts(places[some]) for some in _pieces(len(places))]
-        nothing = np.zeros((0, 3), np.float32)
-        origins, normals = ([nothing, *(piece[k] for piece in pieces)] for k in range(2))
-        return np.concatenate(origins), np.concatenate(normals)
+    def _starts(self, places: Places) -> Generator[int, None, tuple[Array, Array]]:
+        """Origins and normals (M, 3) of ``places``; yields the rays cast so far."""
+        origins, normals = np.empty((2, len(places), 3), np.float32)
+        for some in _pieces(len(places)):
+            origins[some], normals[some] = self.mesh.starts(places[some])
+            yield self.cast
+        return origins, normals
 
     def glance(self, places: Places) -> Generator[int, None, Mask]:
         """Which ``places`` (M,) are buried, from a few rays each.  Yields the rays cast so far."""
