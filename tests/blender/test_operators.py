@@ -160,7 +160,7 @@ def test_only_settings_are_saved(scene):
     exact = {"residual", "turns", "peaks", "final_light"}
     plain = {"name", "order", "quality", "rays", "tolerance", "seed", "threads", "gltf_short"}
     texture = {"size_by", "resolution", "texel_density", "shared_atlas", "padding_mip", "half"}
-    where = {"carrier", "image_folder", "pack_images"}
+    where = {"carrier", "image_folder", "pack_images", "bounces", "all_bounces"}
     assert kept == plain | exact | texture | where
 
 
