@@ -21,7 +21,8 @@ stage.resetEnvironment();
 stage.turn({{ environment: 0, model: 0 }});
 const {{ camera, pivot, controls }} = stage;
 camera.position.lerp(controls.target, 0.45);
-stage.render();
+controls.update();
+camera.updateMatrixWorld();
 const pose = {{ matrix: camera.matrixWorld.elements, fov: camera.fov }};
 return {{ ...said, ...pose, pivot: pivot.position.toArray() }};
 """
@@ -147,3 +148,23 @@ def test_an_open_white_surface_under_a_white_sky_is_white(registered, scene, out
         assert len(pixels) > 100
         floats, _ = see(page, pixels, environment, model, albedo=False)
         np.testing.assert_allclose(floats, 1, atol=1e-4)
+
+
+def test_of_metal_the_diffuse_part_is_baked(scene, bake, page, out):
+    """Half a metal in a dark room of three.js' own shows half of what a dielectric does."""
+    nearly_baked_light(scene)
+    obj = painted(monkey())
+    bake(obj, turns=1, smooth=True)
+    shader = next(n for n in obj.data.materials[0].node_tree.nodes if n.type == "BSDF_PRINCIPLED")
+    found = []
+    for metallic in (0.0, 0.5):
+        shader.inputs["Metallic"].default_value = metallic
+        gltf_export.write(str(out))
+        camera = page.run(OPEN, glb=out)
+        page.run("viewer.stage.scene.environment = null;")
+        pixels, truth = expected([obj], camera)
+        floats, _ = see(page, pixels)
+        found.append(floats / (1 - metallic))
+    assert truth.max() > 0.1
+    np.testing.assert_allclose(found[0], truth, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-3, atol=1e-3)
