@@ -118,7 +118,13 @@ class glTF2ImportUserExtension:  # the importer looks for this name
             groups.setdefault((layout.order, layout.channels), []).append((obj, result, made))
         for group in groups.values():
             layout = layouts.covering(result for _, result, _ in group)
-            writeback.write(owner, [(o, r, _with(mark, layout)) for o, r, mark in group], layout)
+            try:
+                baked = [(obj, result, _with(mark, layout)) for obj, result, mark in group]
+                writeback.write(owner, baked, layout)
+            except BakeError as error:
+                for obj, _, _ in group:
+                    del shares[obj]
+                    _warn(gltf, f"{obj.name} comes without its bake: {error}")
         return shares
 
 

@@ -215,6 +215,29 @@ def test_nodes_that_share_a_mesh_are_baked_each(scene, bake, out):
     np.testing.assert_allclose(matched(two, half), half, atol=1e-5)
 
 
+def test_what_one_material_cannot_show_comes_plain_and_the_rest_is_lit(scene, bake, out, capfd):
+    """Two orders on faces without a material, as another program may write them."""
+    for name, order in (("Two", 2), ("Three", 3)):
+        obj = monkey(name)
+        obj.data.materials.append(bpy.data.materials.new(name))
+        bake(obj, order=order)
+    gltf_export.write(str(out))
+
+    def change(document):
+        for mesh in document["meshes"]:
+            mesh["primitives"][0].pop("material")
+
+    rewritten(out, change)
+    scene = imported(out)
+    (shown,) = stamp.baked_objects(scene)
+    assert "comes without its bake" in capfd.readouterr().out
+    assert light_state.read(scene) is not None
+    (group,) = nodes.groups()
+    first = group.nodes["L0"].inputs[1].default_value[:]
+    np.testing.assert_allclose(first, light_state.read(scene).radiance_sh[0], atol=1e-6)
+    assert stamp.share(shown) == 1.0
+
+
 @pytest.mark.parametrize(("ratio", "share"), [(2.0, 2.0), (None, 0.0)])
 def test_a_scene_with_a_light_keeps_it(scene, bake, out, ratio, share):
     bake(monkey("Theirs"), turns=1)
