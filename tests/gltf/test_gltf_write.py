@@ -26,10 +26,16 @@ def test_nan_becomes_zero(scene, bake, out):
     assert_valid(out)
 
 
+def own_material(obj):
+    """One material shows one layout."""
+    obj.data.materials.append(bpy.data.materials.new(obj.name))
+    return obj
+
+
 def test_gltf_validator_finds_no_error(scene, bake, out):
-    bake(sheared(), channels=3, turns=2, lights=2)
-    bake(monkey("Corner"), domain="CORNER")
-    subdivided = monkey("Subdivided")
+    bake(own_material(sheared()), channels=3, turns=2, lights=2)
+    bake(own_material(monkey("Corner")), domain="CORNER")
+    subdivided = own_material(monkey("Subdivided"))
     subdivided.modifiers.new("Subdivision", "SUBSURF")
     bake(subdivided, order=5, by_modifier=True)
     bake(colored(COLORS, "Dirt"))
