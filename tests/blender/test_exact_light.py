@@ -325,7 +325,7 @@ def test_stamps_and_lights_of_the_first_release_are_read(scene):
     found = stamp.read(obj)
     assert found.packing == Layout(2)
     assert (stamp.share(obj), found.plain_error) == (0, None)
-    obj[stamp.KEY] = OLD_STAMP.replace('"version": 1', '"version": 3')
+    obj[stamp.KEY] = OLD_STAMP.replace('"version": 1', f'"version": {stamp.VERSION + 1}')
     assert stamp.read(obj) is None
     zeros = np.zeros((25, 3)).tolist()
     names = ("image_sh", "radiance_sh", "baked_radiance_sh")
