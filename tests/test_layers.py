@@ -155,6 +155,12 @@ def test_no_file_shadows_a_module():
     assert shadowing(tracked("*.py")) == []
 
 
+def test_no_two_test_files_have_one_name():
+    """pytest imports them by that name alone."""
+    names = [PurePosixPath(name).name for name in tracked("tests/**/test_*.py")]
+    assert len(names) == len(set(names)) > 50
+
+
 def test_functions_and_modules_stay_short(python_sources):
     assert too_long(python_sources) == []
 
