@@ -1,7 +1,9 @@
 """What every test needs before Blender starts: a shader cache that lasts, nobody's preferences."""
 
+import atexit
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,3 +21,21 @@ Path(os.environ["MESA_SHADER_CACHE_DIR"]).mkdir(parents=True, exist_ok=True)
 def root() -> Path:
     """The repository."""
     return ROOT
+
+
+@pytest.fixture(scope="session")
+def registered() -> Iterator[None]:
+    """The add-on, switched on; Blender hangs or dies at exit with our classes still registered."""
+    import prt_baker
+
+    prt_baker.register()
+    done = []
+
+    def unregister() -> None:
+        if not done:
+            done.append(True)
+            prt_baker.unregister()
+
+    atexit.register(unregister)
+    yield
+    unregister()

@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 import pytest
-from prt_baker.addon import carrier, gltf_panel, light_state, properties, stamp, writeback
+from prt_baker.addon import carrier, light_state, stamp, writeback
 from prt_baker.addon.prt.job import Peak
 from prt_baker.addon.prt.layout import Layout
 from prt_baker.addon.prt.results import ReceiverResult
@@ -110,16 +110,6 @@ def make_stamp(obj, layout, domain, by_modifier):
         rays=0,
         mrays_per_second=0.0,
     )
-
-
-@pytest.fixture
-def registered():
-    """What the artist may choose."""
-    properties.register()
-    gltf_panel.register()
-    yield
-    gltf_panel.unregister()
-    properties.unregister()
 
 
 @pytest.fixture(scope="session")
