@@ -31,17 +31,22 @@ GENERATED_UNLESS_LINKED = (
 
 def of(material: bpy.types.Material) -> set[Attribute]:
     """What the artist's own shader in ``material`` reads, ours left out."""
+    return {found for node in nodes_of(material) for found in _read_by(node)}
+
+
+def nodes_of(material: bpy.types.Material) -> Iterator[bpy.types.Node]:
+    """Every node that leads to the artist's own output in ``material``, those in groups too."""
     tree = material.node_tree
     output = material_plan.artist_output(tree) if tree else None
-    return set(_behind(output, set())) if output is not None else set()
+    return _behind(output, set()) if output is not None else iter(())
 
 
-def _behind(node: bpy.types.Node, seen: set[bpy.types.Node]) -> Iterator[Attribute]:
-    """The attributes of ``node`` and of every node that leads to it."""
+def _behind(node: bpy.types.Node, seen: set[bpy.types.Node]) -> Iterator[bpy.types.Node]:
+    """``node`` and every node that leads to it, ours left out."""
     if node in seen or node.get(TAG) == SHADING:
         return
     seen.add(node)
-    yield from _read_by(node)
+    yield node
     if node.type == "GROUP" and node.node_tree is not None:
         for inner in node.node_tree.nodes:
             if inner.type == "GROUP_OUTPUT" and inner.is_active_output:

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 
 import bpy
 
-from . import material_plan
-from .material_plan import SHADING, TAG
+from .material_attributes import nodes_of
 
 MOST = 30  # in one material; Blender 4 takes two more
 RAMPS = (
@@ -24,24 +23,7 @@ Sampler = tuple[str, ...]
 
 def of(material: bpy.types.Material) -> set[Sampler]:
     """What the artist's own shader in ``material`` samples, ours left out."""
-    tree = material.node_tree
-    output = material_plan.artist_output(tree) if tree else None
-    return set(_behind(output, set())) if output is not None else set()
-
-
-def _behind(node: bpy.types.Node, seen: set[bpy.types.Node]) -> Iterator[Sampler]:
-    """The samplers of ``node`` and of every node that leads to it."""
-    if node in seen or node.get(TAG) == SHADING:
-        return
-    seen.add(node)
-    yield from _read_by(node)
-    if node.type == "GROUP" and node.node_tree is not None:
-        for inner in node.node_tree.nodes:
-            if inner.type == "GROUP_OUTPUT" and inner.is_active_output:
-                yield from _behind(inner, seen)
-    for socket in node.inputs:
-        for link in socket.links:
-            yield from _behind(link.from_node, seen)
+    return {found for node in nodes_of(material) for found in _read_by(node)}
 
 
 def _read_by(node: bpy.types.Node) -> Iterator[Sampler]:

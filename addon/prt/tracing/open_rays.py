@@ -32,14 +32,14 @@ class OpenRays:
 
     def __init__(self, horizon: Horizon | None, points: Points, part: slice, rays: int) -> None:
         groups = -(-(part.stop - part.start) // GROUP)
-        self._limits = np.zeros((groups, 1), np.int64)
+        self._limits = np.zeros((groups, 1), np.int32)
         if horizon is not None:
             rows = np.minimum(part.start + np.arange(groups * GROUP), part.stop - 1)
             origins, normals = points.origins[rows], points.normals[rows]
             origins, normals = (v.reshape(groups, GROUP, 3) for v in (origins, normals))
             shares = horizon.open_shares(origins, normals)
-            self._limits = np.floor(np.minimum(shares + 1e-9, 1) * rays).astype(np.int64)
-        least = self._limits.min(axis=1)
+            self._limits = np.floor(np.minimum(shares + 1e-9, 1) * rays).astype(np.int32)
+        least = self._limits.min(axis=1).astype(np.int64)
         self.firsts: Index = least * STEPS // rays * rays // STEPS
         more = self._limits.mean(axis=1) - self.firsts
         self._pays = more > PAYS * np.maximum(rays - self.firsts, 1)
@@ -57,5 +57,5 @@ class OpenRays:
         the part, turned by ``azimuth`` (P,), whose ``directions`` (N,) lie at these angles."""
         sector = (directions[first:] + azimuth[:, None]) >> SHIFT
         sector += (rows // GROUP * SECTORS).astype(np.uint32)[:, None]
-        limit = self._limits.astype(np.int32).reshape(-1).take(sector)
+        limit = self._limits.reshape(-1).take(sector)
         return np.asarray(np.arange(first, len(directions), dtype=np.int32) < limit)
