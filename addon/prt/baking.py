@@ -191,10 +191,11 @@ class Bake(ABC, Generic[What]):
         return self._scene.world.turns * self._settings.map_rays / 2
 
     def _trace(self, origins: Array, normals: Array, rays: int) -> Generator[int, None, Array]:
-        """Transfer and residuals (M, n² + 3 turns) at ``origins`` (M, 3)."""
+        """Transfer, residuals, peaks and visibility (M, n² + 3 turns + peaks + v²) at ``origins``
+        (M, 3)."""
         world, coefficients = self._scene.world.exact, self._settings.order**2
-        gather = world.gather if world else None
-        columns = coefficients + (gather.columns if gather else 0)
+        gather, visibility_order = world.gather if world else None, self._settings.visibility_order
+        columns = coefficients + (gather.columns if gather else 0) + visibility_order**2
         values = np.empty((len(origins), columns), np.float32)
         bits = self._tape.visibility(len(origins), rays)
         places = Points(origins, normals, np.empty(0, np.int32))
@@ -206,6 +207,7 @@ class Bake(ABC, Generic[What]):
             values,
             shortcuts=replace(self._shortcuts, bits=bits, look=recorder),
             gather=gather,
+            visibility_order=visibility_order,
         )
         self._keep(places, rays, recorder)
         if world is not None:
@@ -238,15 +240,16 @@ class Bake(ABC, Generic[What]):
 
     def result(self, solved: Found) -> ReceiverResult:
         """The values of ``solved``, apart."""
-        coefficients, values = self._settings.order**2, solved.values
-        transfer, rest = values[:, :coefficients], values[:, coefficients:]
-        end = 3 * self._scene.world.turns
+        values, coefficients = solved.values, self._settings.order**2
+        end = coefficients + 3 * self._scene.world.turns
+        seen = values.shape[1] - self._settings.visibility_order**2
         return ReceiverResult(
             self._receiver.name,
-            np.ascontiguousarray(transfer[:, None]),
+            np.ascontiguousarray(values[:, None, :coefficients]),
             self._points.element_points,
-            np.ascontiguousarray(rest[:, :end]).reshape(len(rest), -1, 3),
-            np.ascontiguousarray(rest[:, end:]),
+            np.ascontiguousarray(values[:, coefficients:end]).reshape(len(values), -1, 3),
+            np.ascontiguousarray(values[:, end:seen]),
+            visibility_sh=np.ascontiguousarray(values[:, seen:]),
         )
 
     def entry(self, solved: Found) -> Entry:

@@ -105,7 +105,8 @@ def _choice(
     else:
         texels = USED * share * settings.resolution**2
     spacing = sqrt(len(points.origins) / max(texels, 1.0))
-    slots = len(Layout(settings.order, 1, scene.world.turns, settings.peaks).slots)
+    turns, visibility = scene.world.turns, settings.visibility_order
+    slots = len(Layout(settings.order, 1, turns, settings.peaks, visibility).slots)
     return Choice(
         error,
         error * min(1.0, spacing),

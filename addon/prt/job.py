@@ -51,9 +51,9 @@ class Settings:
     found with ``map_rays`` more candidates a point.  Up to ``peaks`` suns and lamps are cut out of
     the map.  ``final_light`` says that the light will not change, so that what it doesn't show need
     not be stored.  ``bounces`` of light from surface to surface are in the transfer: 0 is shadows
-    alone, ALL goes on until the added light falls below the tolerance.  ``threads`` 0 means every
-    core and changes no result; nor does ``cache``, a folder that keeps what was traced, "" for
-    none.
+    alone, ALL goes on until the added light falls below the tolerance.  What each point sees is
+    stored too, in ``visibility_order`` bands, unless that is 0.  ``threads`` 0 means every core and
+    changes no result; nor does ``cache``, a folder that keeps what was traced, "" for none.
 
     An atlas has ``resolution`` texels a side, unless ``texel_density``, texels a metre, is given:
     then as many as that takes.  ``shared_atlas`` puts all receivers into one, else each has its
@@ -70,6 +70,7 @@ class Settings:
     peaks: int = 0
     final_light: bool = False
     bounces: int = 0
+    visibility_order: int = 0
     resolution: int = 1024
     texel_density: float = 0.0
     shared_atlas: bool = True
@@ -110,9 +111,9 @@ class Receiver:
     geometric normal points out (mirrored objects too), ``triangle_corners`` (F, 3) int32 into the
     corners, ``corner_vertices`` (C,) int32, ``normals`` float32 unit shading normals: (V, 3) where
     ``domain`` is POINT, (C, 3) where it is CORNER.  ``transfer`` (E, channels, n²) and
-    ``residual`` (E, turns, 3) float32, one for each element of the domain, are given for a job that
-    verifies a bake; where that is in a texture they are what is shown at the ``places``, rows of
-    (triangle, barycentric coordinates) (E, 4) float64.
+    ``residual`` (E, turns, 3) and ``visibility_sh`` (E, v²) float32, one for each element of the
+    domain, are given for a job that verifies a bake; where that is in a texture they are what is
+    shown at the ``places``, rows of (triangle, barycentric coordinates) (E, 4) float64.
 
     The values lie where ``carrier`` says: at the elements, in an atlas, or where a prediction says
     that they are better off.  Receivers of one ``group``, which share materials, share an atlas.
@@ -129,6 +130,7 @@ class Receiver:
     normals: Array
     transfer: Array | None = None
     residual: Array | None = None
+    visibility_sh: Array | None = None
     carrier: Carrier = "vertex"
     group: int = -1
     uvs: Array | None = None
@@ -203,7 +205,7 @@ class Peak:
 
 SETTINGS = "settings.json"
 RECEIVER_ARRAYS = ("vertices", "triangles", "triangle_corners", "corner_vertices", "normals")
-SHOWN = ("transfer", "residual", "uvs", "places")
+SHOWN = ("transfer", "residual", "visibility_sh", "uvs", "places")
 HEADER = ("name", "domain", "carrier", "group", "uv_key")
 
 

@@ -3,11 +3,11 @@
 ``slots`` names every float: float ``4 k + c`` of the attributes is ``slots[4 k + c]``, "" where
 unused.  One channel: T0, T1, ...; three channels: T0r, T0g, T0b, T1r, ...; then the residuals
 R0r, R0g, R0b, R1r, ..., one for each turn of the world; then S0 .. S3, the visibilities of lights
-cut out of the map.
+cut out of the map; then V0, V1, ..., coefficients of what a point sees.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 from math import isqrt
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from .errors import BakeError
 from .results import ReceiverResult
+from .tracing.visibility import EVERYTHING
 
 MAX_ATTRIBUTES = 14  # EEVEE reads no more in one material
 PREFIX = "_PRT_"
@@ -26,13 +27,14 @@ Floats = npt.NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Layout:
-    """What a bake stores at every vertex or corner: ``turns`` residuals, 0 for none, and the
-    visibilities of ``lights``."""
+    """What a bake stores at every vertex or corner: ``turns`` residuals, 0 for none, the
+    visibilities of ``lights``, and what is seen in ``visibility_order`` bands, 0 for none."""
 
     order: int
     channels: int = 1
     turns: int = 0
     lights: int = 0
+    visibility_order: int = 0
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> "Layout":
@@ -53,6 +55,7 @@ class Layout:
         names = [f"T{i}{s}" for i in range(self.order**2) for s in suffixes]
         names += [f"R{k}{s}" for k in range(self.turns) for s in CHANNELS]
         names += [f"S{j}" for j in range(self.lights)]
+        names += [f"V{i}" for i in range(self.visibility_order**2)]
         return tuple(names + [""] * (-len(names) % 4))
 
     @property
@@ -65,6 +68,7 @@ class Layout:
         parts = [f"{self.channels} channels"] if self.channels > 1 else []
         parts += [f"{self.turns} turns"] if self.turns > 1 else []
         parts += [f"{self.lights} peak{'s' * (self.lights > 1)}"] if self.lights else []
+        parts += ["occlusion of reflections"] if self.visibility_order else []
         parts += ["no residual"] if not self.turns else []
         return f"order {self.order}{' with ' * bool(parts)}{' and '.join(parts)}"
 
@@ -77,27 +81,40 @@ class Layout:
 @dataclass(frozen=True)
 class Values:
     """What a bake holds at E elements, float32: ``transfer`` (E, channels, n²), ``residual``
-    (E, turns, 3) and ``visibility`` (E, lights), as in ``ReceiverResult``."""
+    (E, turns, 3), ``visibility`` (E, lights) and ``visibility_sh`` (E, v²), by default none of it,
+    as in ``ReceiverResult``."""
 
     transfer: Floats
     residual: Floats
     visibility: Floats
+    visibility_sh: Floats = field(default_factory=lambda: np.empty((0, 0), np.float32))
+
+    def __post_init__(self) -> None:
+        """Without visibility: an array of the right length."""
+        if not self.visibility_sh.size:
+            shape = (len(self.transfer), self.visibility_sh.shape[1])
+            object.__setattr__(self, "visibility_sh", np.empty(shape, np.float32))
 
 
 def at_elements(result: ReceiverResult) -> Values:
     """``result`` at every vertex or corner."""
-    arrays = (result.transfer, result.residual, result.visibility)
-    return Values(*map(result.at_elements, arrays))
+    return Values(*map(result.at_elements, vars(at_points(result)).values()))
+
+
+def at_points(result: ReceiverResult) -> Values:
+    """``result`` at its points."""
+    return Values(result.transfer, result.residual, result.visibility, result.visibility_sh)
 
 
 def covering(results: Iterable[ReceiverResult]) -> Layout:
     """The smallest layout that holds all of ``results``."""
-    shapes = [(r.transfer.shape, r.residual.shape[1], r.visibility.shape[1]) for r in results]
+    found = list(results)
     return Layout(
-        order=max(isqrt(transfer[2]) for transfer, _, _ in shapes),
-        channels=max(transfer[1] for transfer, _, _ in shapes),
-        turns=max(turns for _, turns, _ in shapes),
-        lights=max(lights for _, _, lights in shapes),
+        order=max(isqrt(r.transfer.shape[2]) for r in found),
+        channels=max(r.transfer.shape[1] for r in found),
+        turns=max(r.residual.shape[1] for r in found),
+        lights=max(r.visibility.shape[1] for r in found),
+        visibility_order=max(isqrt(r.visibility_sh.shape[1]) for r in found),
     )
 
 
@@ -114,17 +131,22 @@ def check(layout: Layout, others: int = 0, material: str = "") -> None:
 
 
 def pack(layout: Layout, values: Values) -> Floats:
-    """Attribute values (E, 4 k); what ``values`` don't have is 0, and one channel stands for
-    three."""
+    """Attribute values (E, 4 k); what ``values`` don't have is 0, but all is seen where they don't
+    say, and one channel stands for three."""
     count = len(values.transfer)
     transfer = np.zeros((count, layout.order**2, layout.channels), np.float32)
     transfer[:, : values.transfer.shape[2]] = values.transfer.transpose(0, 2, 1)
     packed = np.zeros((count, len(layout.slots)), np.float32)
     start = layout.transfer_slots
     packed[:, :start] = transfer.reshape(count, start)
-    for array in (values.residual.reshape(count, 3 * values.residual.shape[1]), values.visibility):
+    widths = (3 * layout.turns, layout.lights, layout.visibility_order**2)
+    residual = values.residual.reshape(count, 3 * values.residual.shape[1])
+    seen = values.visibility_sh
+    if widths[2] and not seen.shape[1]:
+        seen = np.full((count, 1), EVERYTHING, np.float32)
+    for array, width in zip((residual, values.visibility, seen), widths, strict=True):
         packed[:, start : start + array.shape[1]] = array
-        start += 3 * layout.turns
+        start += width
     return packed
 
 
@@ -133,10 +155,12 @@ def unpack(layout: Layout, packed: Floats) -> Values:
     count, start = len(packed), layout.transfer_slots
     transfer = packed[:, :start].reshape(count, layout.order**2, layout.channels)
     end = start + 3 * layout.turns
+    seen = end + layout.lights
     return Values(
         np.ascontiguousarray(transfer.transpose(0, 2, 1)),
         packed[:, start:end].reshape(count, layout.turns, 3),
-        packed[:, end : end + layout.lights],
+        packed[:, end:seen],
+        packed[:, seen : seen + layout.visibility_order**2],
     )
 
 
@@ -147,6 +171,7 @@ def _advice(layout: Layout) -> str:
         "no bounces": replace(layout, channels=1),
         "fewer turns": replace(layout, turns=min(1, layout.turns)),
         "fewer peaks": replace(layout, lights=0),
+        "no occlusion of reflections": replace(layout, visibility_order=0),
         "no residual (Exact at This World)": replace(layout, turns=0),
     }
     helping = [

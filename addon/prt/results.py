@@ -21,7 +21,7 @@ from .files.atlases import write_tiles
 from .job import Array, Peak
 
 RESULTS = "results"
-RESULT_ARRAYS = ("transfer", "element_points", "residual", "visibility")
+RESULT_ARRAYS = ("transfer", "element_points", "residual", "visibility", "visibility_sh")
 SOME = 1 << 16  # points of a texture that are left for who wants to know about all
 
 
@@ -38,10 +38,11 @@ class InAtlas:
 @dataclass(frozen=True)
 class ReceiverResult:
     """Baked values of P distinct points, float32: ``transfer`` (P, channels, n²), ``residual``
-    (P, turns, 3), exit radiance of a white surface that the transfer misses at the baked light, and
-    ``visibility`` (P, lights) of the lights cut out; turns and lights may be 0.  For each element
-    of the domain the point that it shows, ``element_points`` (E,) int32, -1 where it has none; no
-    elements where the points are texels (``in_atlas``)."""
+    (P, turns, 3), exit radiance of a white surface that the transfer misses at the baked light,
+    ``visibility`` (P, lights) of the lights cut out, and ``visibility_sh`` (P, v²), the
+    coefficients of what each point sees (``tracing/visibility.py``); turns, lights and v may be 0.
+    For each element of the domain the point that it shows, ``element_points`` (E,) int32, -1 where
+    it has none; no elements where the points are texels (``in_atlas``)."""
 
     name: str
     transfer: Array
@@ -49,10 +50,11 @@ class ReceiverResult:
     residual: Array = field(default_factory=lambda: np.empty((0, 0, 3), np.float32))
     visibility: Array = field(default_factory=lambda: np.empty((0, 0), np.float32))
     in_atlas: InAtlas | None = None
+    visibility_sh: Array = field(default_factory=lambda: np.empty((0, 0), np.float32))
 
     def __post_init__(self) -> None:
-        """Without residual or lights: arrays of the right length."""
-        for name in ("residual", "visibility"):
+        """What is not stored: arrays of the right length."""
+        for name in ("residual", "visibility", "visibility_sh"):
             value = getattr(self, name)
             if not value.size:
                 shape = (len(self.transfer), *value.shape[1:])

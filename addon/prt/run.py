@@ -146,6 +146,7 @@ def _measure_bake(
         receiver,
         transfer=result.at_elements(result.transfer),
         residual=result.at_elements(result.residual),
+        visibility_sh=result.at_elements(result.visibility_sh),
     )
     traced = baked.solved.traced if baked.solved else None
     baked.entry["measured_error"] = yield from _measure(scene, shown, baked.points, traced)
@@ -172,6 +173,7 @@ def _at_places(receiver: Receiver) -> Shown:
         places,
         receiver.transfer.astype(np.float64),
         residual[:, 0].astype(np.float64) if residual is not None and has_residual else None,
+        None if receiver.visibility_sh is None else receiver.visibility_sh.astype(np.float64),
     )
 
 

@@ -207,6 +207,7 @@ def between_texels(
         places,
         shown(result.transfer),
         shown(residual[:, 0]) if residual.shape[1] else None,
+        shown(result.visibility_sh),
     )
 
 
@@ -219,8 +220,8 @@ def painted(sheet: Sheet, results: Sequence[ReceiverResult], number: int, *, hal
     known = np.zeros(sheet.size**2, bool)
     for result in mine:
         assert result.in_atlas is not None
-        values = layouts.Values(result.transfer, result.residual, result.visibility)
-        image[result.in_atlas.texels] = layouts.pack(layout, values)[:, : len(names)]
+        values = layouts.pack(layout, layouts.at_points(result))
+        image[result.in_atlas.texels] = values[:, : len(names)]
         known[result.in_atlas.texels] = True
     square = image.reshape(sheet.size, sheet.size, -1)
     push_pull(square, known.reshape(sheet.size, sheet.size))
@@ -315,5 +316,6 @@ def _margin(job: Job, receivers: Sequence[Receiver], uvs: Sequence[Array], size:
 def _columns(scene: Scene) -> tuple[str, ...]:
     """What a texel holds at most."""
     settings = scene.job.settings
-    layout = Layout(settings.order, 1, scene.world.turns, settings.peaks)
+    turns, visibility = scene.world.turns, settings.visibility_order
+    layout = Layout(settings.order, 1, turns, settings.peaks, visibility)
     return tuple(name for name in layout.slots if name)

@@ -20,6 +20,7 @@ from .tracing.buried import buried, rays_for
 from .tracing.hemisphere import cosine_fibonacci, frames
 from .tracing.rays import Occlusion
 from .tracing.transfer import relative_rms
+from .tracing.visibility import EVERYTHING, even_hemisphere
 from .vertex.traced import Traced
 
 MOST_STEPS = 256  # of a walk, where bounces go on until nothing is left
@@ -40,8 +41,8 @@ class Measured:
     """Relative RMS errors of the transfer: ``at_points``, where it was traced (the rays' noise),
     and ``on_surface``, between the vertices too (noise and the mesh's coarseness); ``histogram``
     of the latter, point by point: ``counts`` between ``edges``, the last of them without end; and
-    the same two errors of the exit radiance at the baked light, None without one.  ``at_points`` is
-    None where it is not known where that was."""
+    the same two errors of the exit radiance at the baked light and of the visibility, None without
+    one.  ``at_points`` is None where it is not known where that was."""
 
     at_points: float | None
     on_surface: float
@@ -50,17 +51,20 @@ class Measured:
     histogram: dict[str, list[Any]]
     light_at_points: float | None = None
     light_on_surface: float | None = None
+    visibility_at_points: float | None = None
+    visibility_on_surface: float | None = None
 
 
 @dataclass(frozen=True)
 class Shown:
     """Places, ``origins`` and ``normals`` (P, 3), and what is shown there: transfer (P, channels,
-    n²), and residual (P, 3) or None."""
+    n²), residual (P, 3) or None, and visibility (P, v²), v may be 0."""
 
     origins: Float
     normals: Float
     transfer: Float
     residual: Float | None
+    visibility_sh: Float
 
 
 def random_surface_points(receiver: Receiver, count: int, seed: int) -> Shown:
@@ -80,14 +84,22 @@ def random_surface_points(receiver: Receiver, count: int, seed: int) -> Shown:
         places,
         shown(receiver.transfer),
         shown(residual[:, 0]) if residual is not None and has_residual else None,
+        None if receiver.visibility_sh is None else shown(receiver.visibility_sh),
     )
 
 
-def shown_at(receiver: Receiver, places: Places, transfer: Float, residual: Float | None) -> Shown:
-    """What is shown at ``places`` (P,) of ``receiver``: ``transfer`` (P, channels, n²), and
-    ``residual`` (P, 3) or None."""
+def shown_at(
+    receiver: Receiver,
+    places: Places,
+    transfer: Float,
+    residual: Float | None,
+    visibility_sh: Float | None,
+) -> Shown:
+    """What is shown at ``places`` (P,) of ``receiver``: ``transfer`` (P, channels, n²), and, each
+    may be None, ``residual`` (P, 3) and ``visibility_sh`` (P, v²)."""
     surface, rows = Surface.of(receiver), element_triangles(receiver)
-    return Shown(*starts(surface, rows, receiver.normals, places), transfer, residual)
+    seen = np.empty((len(places), 0)) if visibility_sh is None else visibility_sh
+    return Shown(*starts(surface, rows, receiver.normals, places), transfer, residual, seen)
 
 
 def brute_force(
@@ -103,6 +115,23 @@ def brute_force(
         start = np.repeat(origins[p : p + 1].astype(np.float32), rays, axis=0)
         mask = occlusion.sky_mask(start, directions.astype(np.float32))
         out[p] = sh.basis(directions[mask != 0], settings.order).sum(axis=0) / rays
+        yield (p + 1) * rays
+
+
+def seen_by_brute_force(
+    origins: Float, normals: Float, occlusion: Occlusion, settings: Settings, out: Float
+) -> Iterator[int]:
+    """Fill ``out`` (P, v²) with the coefficients of what is seen from ``origins`` (P, 3), with all
+    below the horizon of unit ``normals`` (P, 3), by ``verify_rays`` rays each, one for equal solid
+    angles, and yield the rays cast so far."""
+    rays, order = settings.verify_rays, sh.order_of(out.shape[1])
+    local = even_hemisphere(rays)
+    for p, matrix in enumerate(frames(normals, np.zeros(len(normals))).matrices()):
+        directions = local @ matrix.T.astype(np.float64)
+        start = np.repeat(origins[p : p + 1].astype(np.float32), rays, axis=0)
+        blocked = occlusion.sky_mask(start, directions.astype(np.float32)) == 0
+        out[p] = -2 * np.pi / rays * sh.basis(directions[blocked], order).sum(axis=0)
+        out[p, 0] += EVERYTHING
         yield (p + 1) * rays
 
 
@@ -159,7 +188,8 @@ def measure(
     elif points is not None:
         at = _at_points(receiver, points, count)
     else:
-        at = Shown(surface.origins[:0], surface.normals[:0], surface.transfer[:0], None)
+        nothing = (surface.transfer[:0], None, surface.visibility_sh[:0])
+        at = Shown(surface.origins[:0], surface.normals[:0], *nothing)
     origins = np.concatenate([surface.origins, at.origins])
     normals = np.concatenate([surface.normals, at.normals])
     channels = surface.transfer.shape[1]
@@ -168,6 +198,12 @@ def measure(
     for cast in _reference(origins, normals, occlusion, settings, walls, reference):
         yield cast
     seen = ~buried(origins.astype(np.float32), normals.astype(np.float32), reference, occlusion)
+    shown_sh = np.concatenate([surface.visibility_sh, at.visibility_sh])
+    seen_sh, before = np.empty_like(shown_sh), cast
+    if shown_sh.shape[1]:
+        for more in seen_by_brute_force(origins, normals, occlusion, settings, seen_sh):
+            cast = before + more
+            yield cast
     here, there = slice(count, None), slice(count)
     at_points, _, light_at_points = _errors(at, reference[here], seen[here], light)
     on_surface, each, light_on_surface = _errors(surface, reference[there], seen[there], light)
@@ -179,7 +215,15 @@ def measure(
         {"edges": EDGES[:-1].tolist(), "counts": np.histogram(each, EDGES)[0].tolist()},
         light_at_points if len(at.origins) else None,
         light_on_surface,
+        _of_visibility(shown_sh[here], seen_sh[here], seen[here]),
+        _of_visibility(shown_sh[there], seen_sh[there], seen[there]),
     )
+
+
+def _of_visibility(shown: Float, expected: Float, seen: npt.NDArray[np.bool_]) -> float | None:
+    """Relative RMS error of coefficients (P, v²) at the places that are ``seen`` (P,); None of
+    none."""
+    return relative_rms(shown[seen], expected[seen]) if shown.size and seen.any() else None
 
 
 def _errors(
@@ -222,19 +266,30 @@ def _at_points(receiver: Receiver, points: Points, count: int) -> Shown:
         points.normals[chosen].astype(np.float64),
         receiver.transfer[rows].astype(np.float64),
         None if residual is None or not residual.shape[1] else residual[rows, 0],
+        _of_elements(receiver)[rows],
     )
+
+
+def _of_elements(receiver: Receiver) -> Float:
+    """The visibility (E, v²) of a receiver's elements."""
+    assert receiver.transfer is not None
+    if receiver.visibility_sh is None:
+        return np.empty((len(receiver.transfer), 0))
+    return receiver.visibility_sh.astype(np.float64)
 
 
 def _at_traced(traced: Traced, settings: Settings) -> Shown:
     """What was found at some of the places that were traced."""
     chosen, columns = _spread(len(traced.origins), settings.verify_points), settings.order**2
     values = traced.values[chosen].astype(np.float64)
-    residual = values[:, columns : columns + 3]
+    seen = values.shape[1] - settings.visibility_order**2
+    residual = values[:, columns : min(columns + 3, seen)]
     return Shown(
         traced.origins[chosen].astype(np.float64),
         traced.normals[chosen].astype(np.float64),
         values[:, None, :columns],
         residual if residual.shape[1] == 3 else None,
+        values[:, seen:],
     )
 
 

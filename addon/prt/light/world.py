@@ -44,15 +44,17 @@ class ExactWorld:
     lights: Float
 
     def leave_residuals(self, values: Array, coefficients: int, sign: float = 1.0) -> None:
-        """Turn the gathered exit radiances of ``values`` (P, n² + 3 turns + peaks) into what the
-        transfer misses of them; in the first turn, the peaks too.  Back with a ``sign`` of -1."""
+        """Turn the gathered exit radiances of ``values`` (P, n² + 3 turns + peaks, and more) into
+        what the transfer misses of them; in the first turn, the peaks too.  Back with a ``sign`` of
+        -1."""
         transfer, end = values[:, :coefficients], coefficients + 3 * len(self.radiance_sh)
         for k, radiance in enumerate(self.radiance_sh):
             place = slice(coefficients + 3 * k, coefficients + 3 * k + 3)
             values[:, place] -= sign * (transfer @ radiance[:coefficients].astype(np.float32))
         if len(self.radiance_sh) and len(self.lights):
             first = slice(coefficients, coefficients + 3)
-            values[:, first] -= sign * (values[:, end:] @ self.lights.astype(np.float32))
+            peaks = values[:, end : end + len(self.lights)]
+            values[:, first] -= sign * (peaks @ self.lights.astype(np.float32))
 
 
 class World:

@@ -68,7 +68,8 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     tracer = Tracer(mesh, index, triangles, trace, occlusion, order=settings.order, rays=rays)
     work = Refinement(grid, tracer)
     yield from work.start()
-    scale = Scale.of(work.values[work.state == TRACED], settings.order**2, light)
+    first = work.values[work.state == TRACED]
+    scale = Scale.of(first, settings.order**2, light, settings.visibility_order**2)
     yield from work.go_on(scale, max(settings.tolerance or noise, LEAST))
     yield from _push_out(work, grid, tracer, edges.region)
     known = work.state != BURIED
@@ -102,8 +103,9 @@ class Scale:
     groups: tuple[Array, ...]
 
     @classmethod
-    def of(cls, values: Array, transfer: int, light: Float | None) -> "Scale":
-        """Of ``values`` (M, K), of which the first ``transfer`` columns are the transfer."""
+    def of(cls, values: Array, transfer: int, light: Float | None, visibility: int = 0) -> "Scale":
+        """Of ``values`` (M, K), of which the first ``transfer`` columns are the transfer, and the
+        last ``visibility`` ones what is seen."""
         columns = values.shape[1]
         each = np.eye(columns, dtype=np.float32)
         forms = [each[:, :transfer]]
@@ -114,7 +116,7 @@ class Scale:
                 seen[:transfer] = radiance
                 forms.append(seen)
                 rest += 3
-        forms.append(each[:, rest:])
+        forms += [each[:, rest : columns - visibility], each[:, columns - visibility :]]
         groups = []
         for form in forms:
             if form.size and len(values):

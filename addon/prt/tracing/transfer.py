@@ -22,6 +22,7 @@ from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
 from .horizon import Horizon
 from .open_rays import OpenRays, turns
 from .rays import Mask, Occlusion
+from .visibility import VisibilitySet
 
 Array = npt.NDArray[np.float32]
 Index = npt.NDArray[np.int64]
@@ -126,6 +127,8 @@ class Tracer:
         settings: Settings,
         shortcuts: Shortcuts,
         gather: Gather | None,
+        *,
+        visibility_order: int = 0,
     ) -> None:
         self.points, self.rays, self._occlusion = points, settings.rays, occlusion
         random = np.random.default_rng([settings.seed, settings.rays])
@@ -138,6 +141,7 @@ class Tracer:
         self._in_world = RaysInWorld(hemisphere.directions)
         self._weights = hemisphere.weights
         self._turn = Turn(settings.order)
+        self._seen_sh = VisibilitySet(settings.rays, visibility_order) if visibility_order else None
         self._shortcuts, self._gather = shortcuts, gather
         first = np.zeros(self.rays, bool)
         first[:: max(1, shortcuts.pilot)] = True
@@ -153,11 +157,13 @@ class Tracer:
         return (slice(i, min(i + size, count)) for i in range(0, count, size))
 
     def trace(self, part: slice, out: Array) -> Counts:
-        """Transfer, and what is gathered, of the points of ``part`` into ``out``; the rays."""
-        count = part.stop - part.start
+        """Transfer, what is gathered, and visibility of the points of ``part`` into ``out``; the
+        rays."""
+        count, transfer = part.stop - part.start, self._weights.shape[1]
         local = frames(self.points.normals[part], self._azimuth[part])
         matrices = local.matrices()
-        sums = np.empty((-(-count // GROUP) * GROUP, self._weights.shape[1]), np.float32)
+        columns = transfer + (self._seen_sh.columns if self._seen_sh else 0)
+        sums = np.empty((-(-count // GROUP) * GROUP, columns), np.float32)
         counts: Counts = Counter()
         known = OpenRays(self._shortcuts.horizon, self.points, part, self.rays)
         for first, rows in self._batches(known):
@@ -165,7 +171,10 @@ class Tracer:
             origins, frames_of = self.points.origins[numbers], matrices[numbers - part.start]
             batch = _Rows(rows, len(numbers), numbers, origins, frames_of, first, known)
             counts += self._trace_batch(batch, sums, out)
-        out[part, : sums.shape[1]] = self._turn(local, sums[:count])
+        out[part, :transfer] = self._turn(local, sums[:count, :transfer])
+        if self._seen_sh is not None:
+            seen = self._seen_sh.in_world(local, sums[:count, transfer:])
+            out[part, out.shape[1] - self._seen_sh.columns :] = seen
         return counts
 
     def _batches(self, known: OpenRays) -> Iterator[tuple[int, Index]]:
@@ -181,15 +190,19 @@ class Tracer:
                 yield first, (some[:, None] * GROUP + np.arange(GROUP)).reshape(-1)
 
     def _trace_batch(self, batch: _Rows, sums: Array, out: Array) -> Counts:
-        """Local coefficients of a batch into ``sums``, what is gathered into ``out``."""
+        """Local coefficients of a batch into ``sums``, of its transfer and of its visibility; what
+        is gathered into ``out``."""
         visible = self._array("visible", (len(batch.rows), self.rays))
         visible[batch.count :] = 0
         counts = self._see(batch, visible[: batch.count])
         products = visible.reshape(-1, GROUP, self.rays) @ self._weights
-        sums[batch.rows] = products.reshape(len(batch.rows), -1)
+        first = self._weights.shape[1]
+        sums[batch.rows, :first] = products.reshape(len(batch.rows), first)
+        if self._seen_sh is not None:
+            sums[batch.rows, first:] = self._seen_sh.sums(visible)
         if self._gather is not None:
             values, more = self._gather(self._seen(batch, visible), self._occlusion)
-            out[batch.numbers, sums.shape[1] :] = values
+            out[batch.numbers, first : first + values.shape[1]] = values
             counts += more
         return counts
 
@@ -311,13 +324,17 @@ def trace_all(
     *,
     shortcuts: Shortcuts = Shortcuts(),
     gather: Gather | None = None,
+    visibility_order: int = 0,
 ) -> Generator[int, None, Counts]:
-    """Fill ``out`` (P, n² + gathered columns) and yield the rays cast so far; ``close()`` stops it.
+    """Fill ``out`` (P, n² + gathered columns + visibility_order²) and yield the rays cast so far;
+    ``close()`` stops it.
 
     The value is the rays cast and skipped, by reason.  The same bits for any number of threads and
     any size of the batches.
     """
-    tracer = Tracer(points, occlusion, settings, shortcuts, gather)
+    tracer = Tracer(
+        points, occlusion, settings, shortcuts, gather, visibility_order=visibility_order
+    )
     counts: Counts = Counter()
     pool = workers(settings.threads)
     try:

@@ -68,7 +68,8 @@ def solve(
     if first.any():
         yield from _first(tracer, first, settings.seed + 1)
         trial = Values(points, parts, first, settings, noise)
-        plans[_smooth(tracer, trial, first, noise**2 * (ratios + 0.5))] = SMOOTH
+        of_points = noise**2 * (ratios + 0.5)
+        plans[_smooth(tracer, trial, first, of_points, settings)] = SMOOTH
     yield from _main(tracer, plans, settings.seed + 2)
     traced = tracer.traced
     transfer = traced.values[:, : settings.order**2]
@@ -143,11 +144,14 @@ def _coarseness(tracer: Tracer, settings: Settings, noise: float) -> Float:
     return np.maximum(excess, 0) / np.where(variance > 0, variance, np.inf)
 
 
-def _smooth(tracer: Tracer, trial: Values, first: Mask, of_points: Float) -> Mask:
+def _smooth(
+    tracer: Tracer, trial: Values, first: Mask, of_points: Float, settings: Settings
+) -> Mask:
     """In which parts (count,), of those with ``first`` samples, a fit to these predicts others
     nearly as well as points would: with a squared relative error of ``of_points`` (count,)."""
     traced = tracer.traced
-    lit = traced.values.any(axis=1)
+    shadowed = traced.values.shape[1] - settings.visibility_order**2
+    lit = traced.values[:, :shadowed].any(axis=1)
     found = traced[lit & (traced.point < 0) & first[part_of(tracer.parts, traced)]]
     errors = trial.left_out(found)
     return np.asarray(first & (errors.surface <= SMOOTH_ERROR**2 * of_points * errors.size))
