@@ -167,9 +167,10 @@ def _possible(
     simple = world.read_nodes(owner, bpy.context.evaluated_depsgraph_get()) if not hdri else None
     is_colour = simple is not None and simple.image is None
     turns = 0 if is_colour or not settings.residual else settings.turns
-    most = Layout(settings.order, channels, turns, 0 if is_colour else settings.peaks)
+    seen = settings.visibility_order
+    most = Layout(settings.order, channels, turns, 0 if is_colour else settings.peaks, seen)
     may_be_cut = settings.final_light or settings.tolerance > 0
-    return Layout(1 if may_be_cut else settings.order, channels, turns), most
+    return replace(most, order=1 if may_be_cut else settings.order, lights=0), most
 
 
 def _largest_image(settings: jobs.Settings, most: Layout) -> int:
@@ -227,18 +228,20 @@ def _with_what_is_shown(
     state: light_state.LightState | None,
     settings: jobs.Settings,
 ) -> jobs.Receiver:
-    """``receiver`` with the transfer that it shows, and one residual: all that it shows besides,
-    under the light of ``state``."""
+    """``receiver`` with the transfer that it shows, with what is seen where that is stored, and one
+    residual: all that it shows besides, under the light of ``state``."""
     if mark.in_atlas:
         count, seed = settings.verify_points, settings.seed
         receiver, values = textures.with_what_is_shown(receiver, obj, mark, count, seed)
     else:
         values = attributes.read(obj, mark)
+    seen = values.visibility_sh if mark.packing.visibility_order else None
+    receiver = replace(receiver, transfer=values.transfer, visibility_sh=seen)
     if state is None or not mark.beyond_transfer:
-        return replace(receiver, transfer=values.transfer)
+        return receiver
     terms = light_state.terms(state, mark.packing)
     beyond = residual.beyond(values, terms, stamp.share(obj)).astype(np.float32)
-    return replace(receiver, transfer=values.transfer, residual=beyond[:, None])
+    return replace(receiver, residual=beyond[:, None])
 
 
 def _stamp(obj: bpy.types.Object, layout: Layout, domain: str) -> stamp.Stamp:
@@ -318,6 +321,7 @@ def _measured(error: Report | None) -> dict[str, float | None]:
         "measured_error": found.get("on_surface"),
         "measured_at_points": found.get("at_points"),
         "light_error": found.get("light_on_surface"),
+        "visibility_error": found.get("visibility_on_surface"),
     }
 
 

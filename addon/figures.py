@@ -151,7 +151,11 @@ def _speed(stamps: list[Stamp]) -> str:
 
 
 def _errors(stamps: list[Stamp]) -> list[str]:
-    return [*_transfer_errors(stamps), *_light_errors(stamps)]
+    lines = [*_transfer_errors(stamps), *_light_errors(stamps)]
+    seen = _worst(stamps, "visibility_error")
+    if seen is not None:
+        lines.append(f"{percent(seen)} error of what is seen by reflections, measured")
+    return lines
 
 
 def _transfer_errors(stamps: list[Stamp]) -> list[str]:

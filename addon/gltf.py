@@ -8,6 +8,7 @@ at the end once ``gather_gltf_hook``.  (``pre_export_hook`` is newer than Blende
 
 from collections.abc import Iterable
 from copy import copy
+from dataclasses import replace
 from typing import Any
 
 import bpy
@@ -206,7 +207,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
 
 def _shown(packing: Layout, share: float) -> Layout:
     """The layout of the file: without what belongs to another light than the file's."""
-    return packing if share else Layout(packing.order, packing.channels)
+    return packing if share else replace(packing, turns=0, lights=0)
 
 
 def _bare(mesh: Any) -> Any:

@@ -3,6 +3,7 @@ frame.  The schema is in docs/gltf.md; errors are sentences."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isqrt
 from typing import Any
 
 import numpy as np
@@ -74,8 +75,11 @@ def _layout(prt: Mapping[str, Any], slots: Sequence[str]) -> Layout:
     """What ``slots`` hold, all of it or BakeError."""
     turns = prt.get("turns", int("R0r" in slots))
     _check(turns in range(25), f"{turns} turns are none of 0 to 24")
-    lights = sum(isinstance(name, str) and name[:1] == "S" for name in slots)
-    layout = Layout(prt["order"], prt["channels"], turns, lights)
+    lights, seen = (
+        sum(isinstance(name, str) and name[:1] == letter for name in slots) for letter in "SV"
+    )
+    _check(seen in {0, 4, 9, 16, 25}, f"{seen} visibilities are none of 4, 9, 16 and 25")
+    layout = Layout(prt["order"], prt["channels"], turns, lights, isqrt(seen))
     expected, found = [s for s in layout.slots if s], [s for s in slots if s]
     for name in expected:
         _check(name in found, f"layout has no {name}")

@@ -23,16 +23,21 @@ def turned(
     values: npt.NDArray[np.float32], layout: Layout, shown: Layout, share: float, frame: Float
 ) -> npt.NDArray[np.float32]:
     """Attribute values (E, 4 k) of ``layout`` as those of ``shown``, which may have less, with the
-    transfer turned to ``frame`` and a ``share`` of the residuals, which have no direction; nor have
-    the visibilities.  What is not finite becomes 0: glTF allows no NaN."""
+    transfer and what is seen turned to ``frame`` and a ``share`` of the residuals, which have no
+    direction; nor have the visibilities of lights.  What is not finite becomes 0: glTF allows no
+    NaN."""
     stored = unpack(layout, np.nan_to_num(values, posinf=0, neginf=0))
     transfer = stored.transfer @ sh.rotation_matrix(frame, layout.order).T
+    seen = stored.visibility_sh
+    if layout.visibility_order:
+        seen = seen @ sh.rotation_matrix(frame, layout.visibility_order).T
     return pack(
         shown,
         Values(
             transfer.astype(np.float32),
             np.float32(share) * stored.residual[:, : shown.turns],
             stored.visibility[:, : shown.lights],
+            seen[:, : shown.visibility_order**2].astype(np.float32),
         ),
     )
 

@@ -185,8 +185,8 @@ def _shown(layout: Layout, lights: int, standing: bool) -> Layout:
     """What of ``layout`` is kept: residual and visibilities belong to the light as it fell on the
     object when it was baked, and visibilities to lights that the scene has."""
     if not standing:
-        return Layout(layout.order, layout.channels)
-    return Layout(layout.order, layout.channels, layout.turns, min(layout.lights, lights))
+        return replace(layout, turns=0, lights=0)
+    return replace(layout, lights=min(layout.lights, lights))
 
 
 def _result(
@@ -197,7 +197,8 @@ def _result(
     turned = gltf_frame.turned(values, bake.layout, layout, 1.0, frame)
     found = layouts.unpack(layout, turned)
     elements = np.arange(len(values), dtype=np.int32)
-    return ReceiverResult(obj.name, found.transfer, elements, found.residual, found.visibility)
+    values_of = {name: array for name, array in vars(found).items() if name != "transfer"}
+    return ReceiverResult(obj.name, found.transfer, elements, **values_of)
 
 
 def _stamp(obj: bpy.types.Object, layout: Layout, by_modifier: bool) -> stamp.Stamp:

@@ -29,6 +29,7 @@ SETTINGS = (
     "peaks",
     "final_light",
     "bounces",
+    "visibility_order",
     "seed",
     "threads",
     "resolution",

@@ -36,6 +36,7 @@ class Options:
     peaks: int | None
     final_light: bool | None
     bounces: int | None
+    visibility_order: int | None
     cache: bool
     seed: int | None
     threads: int | None
@@ -112,6 +113,12 @@ def _add_how(parser: _Parser) -> None:
         type=_bounces,
         metavar="K|all",
         help="of light from surface to surface, 0: shadows only; all: until nothing is left",
+    )
+    add(
+        "--visibility-order",
+        type=_visibility_order,
+        metavar="N",
+        help="bands of what each point sees, for the occlusion of reflections: 2 to 5, 0: none",
     )
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument("--rays", type=_whole(16, 65536), metavar="N", help="rays a point")
@@ -213,6 +220,11 @@ def _side(text: str) -> int:
 def _bounces(text: str) -> int:
     """So many, or all of them."""
     return ALL if text == "all" else _whole(0, 64)(text)
+
+
+def _visibility_order(text: str) -> int:
+    """So many bands, or none."""
+    return 0 if text == "0" else _whole(2, 5)(text)
 
 
 def _share(text: str) -> float:

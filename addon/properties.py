@@ -92,6 +92,20 @@ class PRT_PG_settings(bpy.types.PropertyGroup):
         default=False,
         options=set(),
     )
+    visibility_order: bpy.props.EnumProperty(
+        name="Occlusion of Reflections",
+        description="Bake what each point sees, so that reflections grow dark where something "
+        "stands before them",
+        items=(
+            ("0", "None", "Reflections shine through whatever stands before them"),
+            ("2", "Order 2", "Which side is open: takes about 1 vertex attribute"),
+            ("3", "Order 3", "Good for rough surfaces: takes 2 or 3 vertex attributes"),
+            ("4", "Order 4", "Finer: takes 4 vertex attributes"),
+            ("5", "Order 5", "Finest: takes 6 or 7 vertex attributes"),
+        ),
+        default="0",
+        options=set(),
+    )
     rays: bpy.props.IntProperty(
         name="Rays",
         description="Rays traced from every point: three times as many halve the noise",
@@ -218,6 +232,7 @@ def settings(scene: bpy.types.Scene, verify: bool = False) -> Settings:
         padding_mip=chosen.padding_mip,
         half=chosen.half,
         bounces=ALL if chosen.all_bounces else chosen.bounces,
+        visibility_order=int(chosen.visibility_order),
         cache=cache_folder.path(),
         seed=chosen.seed,
         threads=chosen.threads,

@@ -11,6 +11,7 @@ import json
 from collections import Counter
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from math import isqrt
 
 import bpy
 
@@ -39,7 +40,8 @@ class Stamp:
     *Verify* found them, and ``measured_at_points`` the noise alone.  Of the light that leaves a
     white surface: ``light_error`` as measured where the world is ``light_at_bake`` (else it was
     another one by then), and ``plain_error``, what the light's order leaves out where no residual
-    mends it.  ``bounces`` are those that were asked for."""
+    mends it.  Of what points see, where that is stored: ``visibility_error`` as measured.
+    ``bounces`` are those that were asked for."""
 
     order: int
     channels: int
@@ -61,6 +63,7 @@ class Stamp:
     light_error: float | None = None
     light_at_bake: bool = True
     plain_error: float | None = None
+    visibility_error: float | None = None
     atlas_size: int = 0
     own_uvs: bool = False
     uv_key: str = ""
@@ -72,7 +75,8 @@ class Stamp:
     def packing(self) -> Layout:
         """The layout that its attributes have."""
         letters = Counter(name[:1] for name in self.layout)
-        return Layout(self.order, self.channels, letters["R"] // 3, letters["S"])
+        seen = isqrt(letters["V"])
+        return Layout(self.order, self.channels, letters["R"] // 3, letters["S"], seen)
 
     @property
     def in_atlas(self) -> bool:

@@ -37,7 +37,7 @@ function checkLayout({ layout, order, channels }, turns) {
   for (let k = 0; k < turns; ++k) expected.push(...['r', 'g', 'b'].map((c) => `R${k}${c}`));
   for (const slot of expected) check(layout.includes(slot), `layout has no ${slot}`);
   const used = layout.filter(Boolean);
-  const unknown = used.find((slot) => !expected.includes(slot) && !/^S[0-3]$/.test(slot));
+  const unknown = used.find((slot) => !expected.includes(slot) && !/^(S[0-3]|V(1?[0-9]|2[0-4]))$/.test(slot));
   check(unknown === undefined, `layout has ${unknown}, which order, channels and turns leave no place for`);
   check(new Set(used).size === used.length, 'layout has a name twice');
 }

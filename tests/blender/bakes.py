@@ -90,6 +90,7 @@ def random_bake(obj, layout, domain="POINT", seed=0):
         np.arange(count, dtype=np.int32),
         rng.normal(0, 0.1, (count, layout.turns, 3)).astype(np.float32),
         rng.uniform(0, 1, (count, layout.lights)).astype(np.float32),
+        visibility_sh=rng.normal(0, 1, (count, layout.visibility_order**2)).astype(np.float32),
     )
     return obj, result, stamp_for(obj, layout, domain)
 

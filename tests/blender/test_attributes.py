@@ -9,6 +9,7 @@ from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.layout import Layout
 
 LAYOUTS = [Layout(2), Layout(4, 3), Layout(3, turns=1), Layout(2, turns=3, lights=2)]
+LAYOUTS += [Layout(3, turns=1, visibility_order=3), Layout(2, 3, 1, 1, 2)]
 
 
 @pytest.mark.parametrize("domain", ["POINT", "CORNER"])
@@ -20,6 +21,7 @@ def test_what_is_written_reads_back_equal(scene, layout, domain):
     np.testing.assert_array_equal(held.transfer, result.transfer)
     np.testing.assert_array_equal(held.residual, result.residual)
     np.testing.assert_array_equal(held.visibility, result.visibility)
+    np.testing.assert_array_equal(held.visibility_sh, result.visibility_sh)
 
 
 def test_a_second_bake_replaces_the_first(scene):

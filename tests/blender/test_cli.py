@@ -86,10 +86,12 @@ def test_options_go_before_the_blend(scene, asked):
     scene.prt.rays = 99
     scene.prt.quality, scene.prt.peaks = "TOLERANCE", 3
     line = "--order 5 --rays 32 --seed 3 --threads 1 --verify --no-residual --carrier vertex"
+    line += " --visibility-order 3"
     assert cli.command([*line.split(), "--bounces", "0", "--peaks", "0", "--final-light"]) == 0
     settings = asked[0][2]
     assert (settings.order, settings.rays, settings.seed, settings.threads) == (5, 32, 3, 1)
     assert (settings.tolerance, settings.residual, settings.peaks) == (0, False, 0)
+    assert settings.visibility_order == 3
     assert settings.final_light
     assert settings.verify_points > 0
     assert scene.prt.rays == 99, "the .blend's own settings stay"
@@ -98,12 +100,15 @@ def test_options_go_before_the_blend(scene, asked):
 def test_what_is_not_given_is_as_the_blend_says(scene, asked):
     chosen = scene.prt
     chosen.quality, chosen.tolerance, chosen.turns, chosen.peaks = "TOLERANCE", 2.0, 4, 1
-    chosen.final_light = True
+    chosen.final_light, chosen.visibility_order = True, "4"
     assert cli.command([]) == 0
     settings = asked[0][2]
     assert settings.tolerance == pytest.approx(0.02)
     assert (settings.residual, settings.turns, settings.peaks) == (True, 4, 1)
     assert settings.final_light
+    assert settings.visibility_order == 4
+    assert cli.command(["--visibility-order", "0"]) == 0
+    assert asked[1][2].visibility_order == 0
 
 
 @pytest.mark.parametrize("words", ["0.01", "1%", "1 %"])
@@ -193,6 +198,8 @@ def test_a_resolution_is_asked_for_in_powers_of_two(capsys, asked):
         "--tolerance 0.0001",
         "--tolerance one%",
         "--peaks 5",
+        "--visibility-order 1",
+        "--visibility-order 6",
         "--turns 0",
         "--turns 25",
         "--turns 2 --no-residual",
@@ -212,7 +219,8 @@ def test_help_lists_every_option_of_the_design(capsys):
     assert cli.command(["--help"]) == 0
     printed = capsys.readouterr().out
     line = "object world carrier resolution texel-density order bounces no-residual peaks rays"
-    line += " tolerance turns final-light no-cache seed threads save gltf report verify"
+    line += " tolerance turns final-light visibility-order no-cache seed threads save gltf report"
+    line += " verify"
     assert all(f"--{option}" in printed for option in line.split())
 
 

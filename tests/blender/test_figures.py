@@ -85,6 +85,13 @@ def test_the_error_of_the_light_says_under_which_world(turns, there, words):
     assert figures.summary_lines([mark, stamped()])[2:] == lines
 
 
+def test_what_reflections_see_is_measured_too():
+    mark = stamped(layout=Layout(3, visibility_order=3).slots, visibility_error=0.031)
+    line = "3.1 % error of what is seen by reflections, measured"
+    assert figures.stamp_lines(mark)[2:] == [line]
+    assert mark.packing == Layout(3, visibility_order=3)
+
+
 def test_the_speed_of_several_bakes_is_all_rays_over_all_seconds():
     slow = stamped(points=1_000_000, rays=100, mrays_per_second=1.0)
     fast = stamped(points=1_000_000, rays=100, mrays_per_second=4.0)

@@ -36,20 +36,25 @@ def out(tmp_path):
 
 
 def bake_by_hand(
-    obj, *, order=3, channels=1, turns=0, lights=0, domain="POINT", by_modifier=False, smooth=False
-):
+    obj, *, order=3, channels=1, turns=0, lights=0, seen=0, domain="POINT", by_modifier=False,
+    smooth=False,
+):  # fmt: skip
     """Random transfer on ``obj``, written as if it had just been baked; residual and visibility
     tell which element they are of by its first coefficient.  ``smooth``: all of it changes slowly
-    over each face, as it does in a bake."""
+    over each face, as it does in a bake.  With ``seen``, so many bands of what is seen."""
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    layout = Layout(order, channels, turns, lights)
+    layout = Layout(order, channels, turns, lights, seen)
     with carrier.evaluated_mesh(obj, depsgraph) as mesh:
         places = places_of(mesh, domain)
     make = smooth_values if smooth else random_values
     arrays = make(places, layout)
     result = ReceiverResult(
-        obj.name, arrays[0], np.arange(len(places), dtype=np.int32), *arrays[1:]
+        obj.name,
+        arrays[0],
+        np.arange(len(places), dtype=np.int32),
+        *arrays[1:],
+        visibility_sh=np.random.default_rng(7).normal(size=(len(places), seen**2)).astype("f4"),
     )
     made = make_stamp(obj, layout, domain, by_modifier)
     writeback.write(bpy.context.scene, [(obj, result, made)], layout)

@@ -130,6 +130,7 @@ BAKED = {
     "order 2, three channels": lambda bake: bake(plain(), order=2, channels=3, turns=1),
     "order 4, three channels": lambda bake: bake(plain(), order=4, channels=3, turns=1),
     "order 5, peaks": lambda bake: bake(plain(), order=5, turns=1, lights=2),
+    "what is seen": lambda bake: bake(rotated(), turns=1, seen=3),
     "order 3, twelve turns": lambda bake: bake(plain(), turns=12),
     "colours, two materials": lambda bake: bake(colored(COLORS, "Dirt"), turns=1),
 }

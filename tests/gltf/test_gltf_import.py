@@ -49,7 +49,7 @@ def held(scene):
         ends = "vertices" if mark.domain == "POINT" else "loops"
         corners = np.array([getattr(t, ends)[:] for t in evaluated.loop_triangles]).ravel()
         count = len(values.transfer)
-        parts = (values.transfer, values.residual, values.visibility)
+        parts = (values.transfer, values.residual, values.visibility, values.visibility_sh)
         rows = np.concatenate([part.reshape(count, -1) for part in parts], axis=1)[corners]
         found[obj.name] = mark.order, rows
     return found
@@ -82,11 +82,12 @@ def test_a_round_trip_keeps_every_value(scene, bake, out, make, short):
 
 
 def errors(prt, rows):
-    """What every float may be off: half a step.  One of the transfer, turned from one frame to the
-    other, takes its part of all errors of its band, up to 3 times the largest."""
+    """What every float may be off: half a step.  One of the transfer or of what is seen, turned
+    from one frame to the other, takes its part of all errors of its band, up to 3 times the
+    largest."""
     used = [(s, name[0]) for s, name in zip(prt["scale"], prt["layout"], strict=True) if name]
-    transfer = max(s for s, kind in used if kind == "T")
-    steps = np.array([3 * transfer if kind == "T" else s for s, kind in used])
+    largest = {turned: max([s for s, kind in used if kind == turned], default=0) for turned in "TV"}
+    steps = np.array([3 * largest[kind] if kind in largest else s for s, kind in used])
     return steps / 65534 + 1e-6 * abs(rows).max(0)
 
 
@@ -266,6 +267,9 @@ MALFORMED = {
     "scale is neither 1 nor 12 numbers": of_mesh(scale=[1, 2]),
     "layout is not four names": of_mesh(layout="T0T1"),
     "basis": of_mesh(basis="another"),
+    "3 visibilities are none of 4": of_mesh(
+        layout=[*(f"T{i}" for i in range(9)), "V0", "V1", "V2"], turns=0
+    ),
     "layout has names": of_mesh(layout=[*(f"T{i}" for i in range(10)), "R0r", "R0g"], turns=0),
     "radiance_sh is not 25 triples": of_scene(radiance_sh=[[1, 2, 3]]),
     "a cut-out light": of_scene(lights=[{"direction": [0, 0, 0]}]),

@@ -7,7 +7,7 @@ from glb import Glb
 from gltf_laws import TURN, Y_UP, element_values, light_of
 from gltf_scenes import NODES, mirrored, monkey
 from gltf_validator import assert_valid
-from prt_baker.addon import gltf_export, light_state, stamp
+from prt_baker.addon import attributes, gltf_export, light_state, stamp
 from prt_baker.addon.prt import sh
 
 RGB = (1, 2, 3)  # how the residuals made by hand differ in their channels
@@ -33,6 +33,27 @@ def test_they_are_numbers_that_no_turn_of_the_frame_changes(scene, bake, out, ma
         found = glb.slots(obj.name, [f"R{k}{c}" for c in "rgb"])
         np.testing.assert_array_equal(found, ((k + 1) * first * RGB).astype(np.float32))
         np.testing.assert_array_equal(glb.slots(obj.name, [f"S{k}"]), first / np.float32(k + 2))
+
+
+def test_what_is_seen_is_turned_with_the_frame(scene, bake, out):
+    """What a direction sees is the same in the file."""
+    obj = monkey()
+    bake(obj, seen=3)
+    glb = written(out, obj)
+    held = attributes.read(obj, stamp.read(obj))
+    first, found = (
+        glb.slots(obj.name, ["T0"])[:, 0],
+        glb.slots(obj.name, [f"V{i}" for i in range(9)]),
+    )
+    here = held.transfer[:, 0, 0]
+    order = np.argsort(here)
+    expected = held.visibility_sh[order[np.searchsorted(here[order], first)]]
+    directions = np.random.default_rng(0).normal(size=(20, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    x, y, z = directions.T
+    seen = found @ sh.basis(np.stack([x, z, -y], axis=1), 3).T
+    np.testing.assert_allclose(seen, expected @ sh.basis(directions, 3).T, atol=1e-5)
+    assert_valid(out)
 
 
 def test_turns_are_told_where_there_are_several(scene, bake, out):

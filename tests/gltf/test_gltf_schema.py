@@ -29,6 +29,7 @@ RESIDUAL = ["R0r", "R0g", "R0b"]
         of_mesh(channels=3),
         of_mesh(layout=[*T9[:8], "T9", *RESIDUAL]),
         of_mesh(layout=[*T9, "r0", "r1", "r2"]),
+        of_mesh(layout=[*T9, "V0", "V1", "V2"]),
         of_mesh(layout=[*T9, *RESIDUAL, "R1r", "R1g", "R1b", ""]),
         of_mesh(turns=2),
         of_mesh(frame="local"),
