@@ -22,6 +22,30 @@ def test_a_mesh_that_kills_the_child_is_named(monkeypatch):
         unwrapped(shapes.knot_scene(60, 8)[0])
 
 
+HANGS_AFTERWARDS = """
+import sys, time
+sys.path.extend(sys.argv[1:])
+from prt.atlas import charting, worker
+charting.delete_atlases = lambda: time.sleep(1000)
+worker.main()
+"""
+
+
+def test_a_child_that_hangs_after_its_answer_is_replaced(monkeypatch):
+    expected = unwrapped(shapes.knot_scene(60, 8)[0])
+    started = []
+    start = children.Children._start
+    monkeypatch.setattr(
+        children.Children, "_start", lambda self: started.append(start(self)) or started[-1]
+    )
+    monkeypatch.setattr(children, "BOOT", HANGS_AFTERWARDS)
+    monkeypatch.setattr(children, "PATIENCE", 0.2)
+    found = unwrapped(shapes.knot_scene(60, 8)[0])
+    np.testing.assert_array_equal(found.uvs, expected.uvs)
+    assert len(started) > 2
+    assert all(process.poll() is not None for process in started)
+
+
 def test_closing_ends_the_children_at_once(monkeypatch):
     started = []
     start = children.Children._start

@@ -26,6 +26,8 @@ SHRUNK = 0.9  # of its area
 
 Array = npt.NDArray[Any]
 
+_atlases: list[Any] = []  # xatlas's own, not deleted yet
+
 
 @dataclass(frozen=True)
 class Charts:
@@ -68,7 +70,7 @@ def packed(
 
     corners = charts.uvs[charts.triangles]
     unit = smallest(np.abs(plane_areas(corners)))
-    atlas = xatlas.Atlas()
+    atlas = _new_atlas()
     atlas.add_uv_mesh(
         np.ascontiguousarray(charts.uvs / unit, np.float32),
         np.ascontiguousarray(charts.triangles, np.uint32),
@@ -83,6 +85,21 @@ def packed(
     _, faces, places = atlas.get_mesh(0)
     found = places[faces] * np.float32(size)
     return found if _to_scale(corners * density, found, charts.charts) else None
+
+
+def delete_atlases() -> None:
+    """Delete what xatlas made.  Once in some thousand times that never ends: it tells its threads
+    to stop without holding the lock that they sleep by, and one that falls asleep just then is
+    waited for for ever."""
+    _atlases.clear()
+
+
+def _new_atlas() -> Any:
+    """An atlas of xatlas that lives until ``delete_atlases``."""
+    import xatlas
+
+    _atlases.append(xatlas.Atlas())
+    return _atlases[-1]
 
 
 def smallest(areas: Float) -> float:
@@ -137,7 +154,7 @@ def _parametrize(layout: Layout) -> None:
 
     corners = layout.corners
     _, first, triangles = np.unique(layout.vertices, return_index=True, return_inverse=True)
-    atlas = xatlas.Atlas()
+    atlas = _new_atlas()
     atlas.add_mesh(
         np.ascontiguousarray(corners.reshape(-1, 3)[first], np.float32),
         np.ascontiguousarray(triangles.reshape(-1, 3), np.uint32),

@@ -10,6 +10,7 @@ import os
 import queue
 import subprocess
 import sys
+import threading
 from collections.abc import Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
@@ -24,6 +25,7 @@ BOOT = (
 )
 PACKAGE = "xatlas"
 TICK = 0.25  # seconds between two signs of life
+PATIENCE = 5.0  # seconds for a child to be ready again, which takes it some milliseconds
 
 Process = subprocess.Popen[bytes]
 
@@ -50,8 +52,7 @@ class Children:
         """The answers to ``tasks``; yields how many are there, every ``TICK`` at the latest.
         ChildLostError where a child has died of one."""
         while len(self._all) < min(self._count, len(tasks)):
-            self._all.append(self._start())
-            self._idle.put(self._all[-1])
+            self._idle.put(self._started())
         waiting = [self._threads.submit(self._do, k, task) for k, task in enumerate(tasks)]
         left: set[Future[Arrays]] = set(waiting)
         while left:
@@ -63,12 +64,17 @@ class Children:
 
     def close(self) -> None:
         """Kill them, in the middle of whatever they do."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
         for process in self._all:
             process.kill()
-        self._threads.shutdown(cancel_futures=True)
+        self._threads.shutdown()
         for process in self._all:
             process.communicate()
         self._all.clear()
+
+    def _started(self) -> Process:
+        self._all.append(self._start())
+        return self._all[-1]
 
     def _start(self) -> Process:
         flags = ["-I", "-B"] if sys.dont_write_bytecode else ["-I"]
@@ -82,6 +88,8 @@ class Children:
 
     def _do(self, number: int, task: Arrays) -> Arrays:
         process = self._idle.get()
+        if process.poll() is not None:
+            process = self._started()
         assert process.stderr is not None
         try:
             send(cast(BinaryIO, process.stdin), task)
@@ -90,8 +98,21 @@ class Children:
             answer = None
         if answer is None:
             raise ChildLostError(number, process.stderr.read().decode(errors="replace"))
+        _wait_until_ready(process)
         self._idle.put(process)
         return answer
+
+
+def _wait_until_ready(process: Process) -> None:
+    """Until a child that has answered can take another task; it is killed where it can't, as
+    xatlas may hang while it cleans up."""
+    timer = threading.Timer(PATIENCE, process.kill)
+    timer.start()
+    try:
+        if receive(cast(BinaryIO, process.stdout)) is None:
+            process.wait()
+    finally:
+        timer.cancel()
 
 
 def _child_path() -> list[str]:

@@ -16,6 +16,7 @@ from . import charting
 from .messages import Arrays, receive, send
 
 PR_SET_PDEATHSIG = 1
+READY: Arrays = {}  # follows an answer, when another task may come
 
 
 def main() -> None:
@@ -33,6 +34,8 @@ def main() -> None:
 def _answer(source: BinaryIO, answers: BinaryIO) -> None:
     while (task := receive(source)) is not None:
         send(answers, _pack(task) if "density" in task else _unwrap(task))
+        charting.delete_atlases()
+        send(answers, READY)
 
 
 def _unwrap(task: Arrays) -> Arrays:
