@@ -4,13 +4,12 @@ import platform
 import sys
 from collections.abc import Generator, Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import VERSION, bands, choosing, texturing
+from . import VERSION, bands, choosing
 from .baking import Baked, Scene, bake
-from .bounced import bake_all
 from .bounces.walks import Walls
 from .cache import Cache
 from .errors import BakeError
@@ -21,10 +20,12 @@ from .meter import Meter
 from .results import Atlas, ReceiverResult, Results
 from .surface.points import Points, distinct_points
 from .surface.samples import Places
-from .texturing import Sheet
 from .tracing import rays
 from .verify import Shown, measure, shown_at
 from .vertex.traced import Traced
+
+if TYPE_CHECKING:
+    from .texturing import Sheet  # and all else of it where there are textures
 
 Entry = dict[str, Any]
 
@@ -62,7 +63,11 @@ def _work(job: Job) -> float:
     points = 0.0
     if job.kind == "bake":
         points = sum(len(job.receivers[i].normals) for i in _in(job, "vertex"))
-        points += texturing.work_of(job, _in(job, "texture"))
+        in_textures = _in(job, "texture")
+        if in_textures:
+            from . import texturing
+
+            points += texturing.work_of(job, in_textures)
     return max(1.0, points + len(job.receivers) * _verify_work(job))
 
 
@@ -79,7 +84,7 @@ def _verify_work(job: Job) -> float:
 
 def _bake(
     scene: Scene, entries: list[Entry]
-) -> Generator[Progress, None, tuple[list[ReceiverResult], list[Sheet]]]:
+) -> Generator[Progress, None, tuple[list[ReceiverResult], "list[Sheet]"]]:
     """Bake every receiver, with an entry of the report for each, and lay out the atlases."""
     on_vertices, in_textures = (_in(scene.job, carrier) for carrier in ("vertex", "texture"))
     if scene.job.bounces and in_textures:
@@ -88,6 +93,8 @@ def _bake(
         )
     bakes: dict[int, Baked] = {}
     if scene.job.bounces:
+        from .bounced import bake_all
+
         bakes = dict(enumerate((yield from bake_all(scene))))
     for index in on_vertices:
         receiver = scene.job.receivers[index]
@@ -97,6 +104,17 @@ def _bake(
         scene.meter.work += len(bakes[index].points.origins) - len(receiver.normals)
         if scene.job.settings.verify_points:
             yield from _measure_bake(scene, receiver, bakes[index])
+    sheets = (yield from _bake_textures(scene, in_textures, bakes)) if in_textures else []
+    entries += [bakes[index].entry for index in sorted(bakes)]
+    return [bakes[index].result for index in sorted(bakes)], sheets
+
+
+def _bake_textures(
+    scene: Scene, in_textures: list[int], bakes: dict[int, Baked]
+) -> Generator[Progress, None, "list[Sheet]"]:
+    """The sheets of the receivers ``in_textures``, which are put into ``bakes``."""
+    from . import texturing
+
     sheets = []
     for number, plan in enumerate(texturing.plans(scene.job, in_textures)):
         yield scene.meter.progress("unwrap")
@@ -107,29 +125,33 @@ def _bake(
             bakes[index] = yield from texturing.bake_texels(scene, index, sheet, number)
             if scene.job.settings.verify_points:
                 yield from _measure_texels(scene, index, sheet, bakes[index])
-    entries += [bakes[index].entry for index in sorted(bakes)]
-    return [bakes[index].result for index in sorted(bakes)], sheets
+    return sheets
 
 
 def _painted(
-    scene: Scene, sheets: list[Sheet], receivers: Sequence[ReceiverResult]
+    scene: Scene, sheets: "list[Sheet]", receivers: Sequence[ReceiverResult]
 ) -> Generator[Progress, None, list[Atlas]]:
     """The atlases, filled."""
+    if not sheets:
+        return []
+    from . import texturing
+
     atlases = []
     for number, sheet in enumerate(sheets):
         yield scene.meter.progress("fill")
         with scene.meter.phase("fill"):
             half = scene.job.settings.half
             atlases.append(texturing.painted(sheet, receivers, number, half=half))
-    if sheets:
-        yield scene.meter.progress("write")
+    yield scene.meter.progress("write")
     return atlases
 
 
 def _measure_texels(
-    scene: Scene, index: int, sheet: Sheet, baked: Baked
+    scene: Scene, index: int, sheet: "Sheet", baked: Baked
 ) -> Generator[Progress, None, None]:
     """As ``_measure_bake``, between texels."""
+    from . import texturing
+
     receiver, settings = scene.job.receivers[index], scene.job.settings
     count, seed = settings.verify_points, settings.seed
     shown = texturing.between_texels(receiver, baked.result, sheet.size, count, seed)
