@@ -17,6 +17,7 @@ PHASES = {
     "transfer": "Tracing",
     "bounces": "Letting the light bounce",
     "fill": "Filling the texture",
+    "reflections": "Preparing reflections",
     "write": "Writing the texture",
     "verify": "Tracing again to verify",
 }

@@ -19,6 +19,7 @@ BLENDER = {"bpy", "bpy_extras", "mathutils"}
 # part of the engine: the parts of it that it may import beside itself and the modules at its root
 ENGINE = {
     "files": set[str](),
+    "specular": set[str](),
     "surface": set[str](),
     "atlas": {"surface"},
     "tracing": {"surface"},

@@ -52,7 +52,8 @@ class Settings:
     the map.  ``final_light`` says that the light will not change, so that what it doesn't show need
     not be stored.  ``bounces`` of light from surface to surface are in the transfer: 0 is shadows
     alone, ALL goes on until the added light falls below the tolerance.  What each point sees is
-    stored too, in ``visibility_order`` bands, unless that is 0.  ``threads`` 0 means every core and
+    stored too, in ``visibility_order`` bands, unless that is 0.  ``reflections`` prepares the light
+    for shiny surfaces, and changes nothing that is traced.  ``threads`` 0 means every core and
     changes no result; nor does ``cache``, a folder that keeps what was traced, "" for none.
 
     An atlas has ``resolution`` texels a side, unless ``texel_density``, texels a metre, is given:
@@ -71,6 +72,7 @@ class Settings:
     final_light: bool = False
     bounces: int = 0
     visibility_order: int = 0
+    reflections: bool = False
     resolution: int = 1024
     texel_density: float = 0.0
     shared_atlas: bool = True

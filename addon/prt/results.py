@@ -8,6 +8,7 @@ which exists only when all of it is there:
     0_transfer.npy ...      the arrays of receiver 0, see ``ReceiverResult``; where it is in an
                             atlas only some of the points, and 0_uvs.npy
     atlas_0.exr ...         see ``Atlas``
+    reflections.exr         see ``Reflections``
 """
 
 import json
@@ -18,10 +19,13 @@ from typing import Any
 import numpy as np
 
 from .files.atlases import write_tiles
+from .files.images import write_rgba
 from .job import Array, Peak
+from .specular.sheet import Sheet
 
 RESULTS = "results"
 RESULT_ARRAYS = ("transfer", "element_points", "residual", "visibility", "visibility_sh")
+REFLECTIONS = "reflections.exr"
 SOME = 1 << 16  # points of a texture that are left for who wants to know about all
 
 
@@ -83,16 +87,30 @@ class Atlas:
 
 
 @dataclass(frozen=True)
+class Reflections:
+    """What shiny surfaces reflect: ``image`` (H, W, 4) half floats, row 0 at the bottom, laid out
+    as ``sheet`` says, until it is written, and its ``path`` from then on.  It lacks ``peaks``,
+    which are in the picture's own frame and for a strength of 1."""
+
+    sheet: Sheet
+    peaks: tuple[Peak, ...] = ()
+    image: Array | None = None
+    path: Path | None = None
+
+
+@dataclass(frozen=True)
 class Results:
     """What a run leaves: ``image_sh`` (25, 3) float64 is the light's image (or 1, where there is
     none) unrotated and without its strength, its peaks included; ``peaks`` are those that the
-    receivers' visibilities belong to; ``report`` is the JSON report."""
+    receivers' visibilities belong to; ``report`` is the JSON report;
+    ``reflections`` only where they were asked for."""
 
     image_sh: Array | None
     receivers: tuple[ReceiverResult, ...]
     report: dict[str, Any]
     peaks: tuple[Peak, ...] = ()
     atlases: tuple[Atlas, ...] = ()
+    reflections: Reflections | None = None
 
 
 def write_results(results: Results, folder: Path) -> None:
@@ -118,6 +136,7 @@ def write_results(results: Results, folder: Path) -> None:
         "atlases": [(a.size, a.names, a.margin, a.half) for a in results.atlases],
         "peaks": [asdict(peak) for peak in results.peaks],
         "report": results.report,
+        "reflections": _write_reflections(results.reflections, unfinished),
     }
     (unfinished / "report.json").write_text(json.dumps(report), encoding="utf-8")
     unfinished.rename(folder / RESULTS)
@@ -133,15 +152,36 @@ def read_results(folder: Path) -> Results:
     )
     light = done / "light.npy"
     image_sh = np.load(light) if light.exists() else None
-    peaks = tuple(
-        Peak(tuple(p["direction"]), tuple(p["irradiance"]), p["angular_radius"])
-        for p in values["peaks"]
-    )
+    peaks = tuple(_peak(peak) for peak in values["peaks"])
     atlases = tuple(
         Atlas(size, tuple(names), margin, half, path=done / f"atlas_{i}.exr")
         for i, (size, names, margin, half) in enumerate(values["atlases"])
     )
-    return Results(image_sh, receivers, values["report"], peaks, atlases)
+    reflections = _read_reflections(values["reflections"], done)
+    return Results(image_sh, receivers, values["report"], peaks, atlases, reflections)
+
+
+def _write_reflections(found: Reflections | None, folder: Path) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    assert found.image is not None
+    write_rgba(str(folder / REFLECTIONS), found.image[::-1], half=True)
+    return {"sheet": asdict(found.sheet), "peaks": [asdict(peak) for peak in found.peaks]}
+
+
+def _read_reflections(values: dict[str, Any] | None, folder: Path) -> Reflections | None:
+    if values is None:
+        return None
+    return Reflections(
+        Sheet.of(values["sheet"]),
+        tuple(_peak(peak) for peak in values["peaks"]),
+        path=folder / REFLECTIONS,
+    )
+
+
+def _peak(values: dict[str, Any]) -> Peak:
+    direction, irradiance = tuple(values["direction"]), tuple(values["irradiance"])
+    return Peak(direction, irradiance, values["angular_radius"])
 
 
 def _read_receiver(done: Path, i: int, name: str, atlas: int) -> ReceiverResult:

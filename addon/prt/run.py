@@ -17,7 +17,8 @@ from .files import images
 from .job import Job, Progress, Receiver, content_hash
 from .light.world import World
 from .meter import Meter
-from .results import Atlas, ReceiverResult, Results
+from .reflecting import reflections
+from .results import Atlas, ReceiverResult, Reflections, Results
 from .surface.points import Points, distinct_points
 from .surface.samples import Places
 from .tracing import rays
@@ -40,6 +41,7 @@ def run(job: Job) -> Generator[Progress, None, Results]:
     with meter.phase("light"):
         image_sh = world.image_sh
     scene = Scene(job, world, cache, meter)
+    reflected: Reflections | None = None
     receivers: Sequence[ReceiverResult] = ()
     atlases: list[Atlas] = []
     if job.kind == "bake":
@@ -50,12 +52,15 @@ def run(job: Job) -> Generator[Progress, None, Results]:
             report["objects"][index]["predicted"] = choosing.report(choice)
         receivers = _with_needed_bands(scene, receivers, report["objects"])
         atlases = yield from _painted(scene, sheets, receivers)
+        reflected = yield from reflections(scene.job, world, cache, meter)
     elif job.kind == "verify":
         yield from _verify(scene, report["objects"])
+    else:
+        reflected = yield from reflections(job, world, cache, meter)
     if job.light is not None:
         report["light"] = world.report
     report.update(_run_report(job, meter))
-    return Results(image_sh, tuple(receivers), report, world.peaks, tuple(atlases))
+    return Results(image_sh, tuple(receivers), report, world.peaks, tuple(atlases), reflected)
 
 
 def _work(job: Job) -> float:

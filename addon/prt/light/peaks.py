@@ -49,6 +49,16 @@ class CutOut:
     rotation: Float
     strength: Float
 
+    def rest(self, pixels: Array) -> Array:
+        """``pixels`` (H, W, 3), which the peaks were found in, without their light: every texel
+        keeps the share that the reduced map keeps of its own."""
+        removed = self.removed.sum(axis=0)
+        whole = _reduced(pixels)
+        share = np.divide(removed, whole, out=np.zeros_like(removed), where=whole > 0)
+        side = len(pixels) // len(removed)
+        kept = np.clip(1 - share, 0, 1)
+        return np.asarray(pixels * np.repeat(np.repeat(kept, side, axis=0), side, axis=1))
+
     def rays(self, count: int = RAYS, seed: int = 0) -> "PeakRays":
         """``count`` rays a point to each of the peaks."""
         return PeakRays(self, count, seed)

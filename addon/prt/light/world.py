@@ -141,6 +141,19 @@ class World:
         return self._cut_out.peaks
 
     @property
+    def rest(self) -> Array | None:
+        """The picture (H, W, 3) without the light of its peaks; None for a colour."""
+        if not self._has_picture:
+            return None
+        return self._cut_out.rest(self._pixels) if self.peaks else self._pixels
+
+    @property
+    def key(self) -> str:
+        """Names the light and its peaks, for the cache; "" where nothing is kept."""
+        cut = f"-{self._peaks}-{self._settings.order}" if self._peaks else ""
+        return f"{self._name}{cut}" if self._name else ""
+
+    @property
     def seen_sh(self) -> Float:
         """Coefficients (turns or 1, 25, 3) that transfer is dotted with: of the world as it stands,
         without its peaks, and in every other turn that there is a residual for."""
