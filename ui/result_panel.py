@@ -84,7 +84,7 @@ def draw_figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     column = layout.column(align=True)
     column.label(text=objects[0].name if single else "Together", icon="OBJECT_DATA")
     for line in figures.stamp_lines(stamps[0]) if single else figures.summary_lines(stamps):
-        column.label(text=line[0].upper() + line[1:])
+        wrap.lines(column, context, line[0].upper() + line[1:])
     if single and (advice := figures.advice(stamps[0])):
         wrap.box(layout, context, "INFO", advice)
     draw_another_light(layout, context, objects)

@@ -10,11 +10,17 @@ CHARACTER = 6.4  # pixels that a letter takes, about, at 72 dpi and a scale of 1
 def box(layout: bpy.types.UILayout, context: bpy.types.Context, icon: str, sentence: str) -> None:
     """``sentence`` in a box, in as many lines as it needs."""
     column = layout.box().column(align=True)
-    for number, line in enumerate(textwrap.wrap(sentence, letters(context))):
+    for number, line in enumerate(textwrap.wrap(sentence, letters(context, 70))):
         column.label(text=line, icon=icon if number == 0 else "BLANK1")
 
 
-def letters(context: bpy.types.Context) -> int:
-    """How many letters fit beside an icon."""
+def lines(layout: bpy.types.UILayout, context: bpy.types.Context, sentence: str) -> None:
+    """``sentence`` without a box, in as many lines as it needs."""
+    for line in textwrap.wrap(sentence, letters(context, 50), subsequent_indent="   "):
+        layout.label(text=line)
+
+
+def letters(context: bpy.types.Context, margin: int) -> int:
+    """How many letters fit into the sidebar but for a ``margin`` in pixels."""
     width = context.region.width / context.preferences.system.ui_scale
-    return max(12, int((width - 70) / CHARACTER))
+    return max(12, int((width - margin) / CHARACTER))

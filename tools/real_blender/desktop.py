@@ -92,7 +92,7 @@ class RealBlender:
         return values
 
     def wait(
-        self, wanted: Callable[[dict[str, Any]], bool], what: str, seconds: float = 60
+        self, wanted: Callable[[dict[str, Any]], bool], what: str, seconds: float = 240
     ) -> dict[str, Any]:
         """Wait until the state is as wanted; AssertionError with Blender's log otherwise."""
         end = time.monotonic() + seconds
