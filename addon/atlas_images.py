@@ -5,10 +5,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import bpy
+import numpy as np
+import numpy.typing as npt
 
 from .prt.errors import BakeError
+from .prt.tiles import tile_grid
 
 TAG = "prt_atlas"
+Floats = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -26,20 +30,57 @@ def load(path: Path, name: str, atlas: Atlas) -> bpy.types.Image:
     of that name keeps it, and this one gets another."""
     image = bpy.data.images.load(str(path), check_existing=False)
     image.name = name
-    image.colorspace_settings.name = "Non-Color"
-    image.alpha_mode = "CHANNEL_PACKED"
-    image.use_half_precision = False
-    image[TAG] = json.dumps(asdict(atlas))
+    _as_data(image, atlas)
     if 0 in image.size or not (image.has_data and image.is_float):
         bpy.data.images.remove(image)
         raise BakeError(f"Blender cannot read the image {path}: bake again")
     return image
 
 
+def make(values: Floats, name: str, atlas: Atlas) -> bpy.types.Image:
+    """A new image, packed into the .blend, of ``values`` (N, N, 4 k), row 0 at the bottom."""
+    size, count = len(values), values.shape[2] // 4
+    across, down = tile_grid(count)
+    pixels = np.zeros((down * size, across * size, 4), np.float32)
+    for k in range(count):
+        row, column = (down - 1 - k // across) * size, (k % across) * size
+        tile = values[:, :, 4 * k : 4 * k + 4]
+        pixels[row : row + size, column : column + size] = tile
+    image = bpy.data.images.new(name, across * size, down * size, alpha=True, float_buffer=True)
+    _as_data(image, atlas)
+    image.pixels.foreach_set(pixels.ravel())
+    image.update()
+    image.pack()
+    return image
+
+
+def _as_data(image: bpy.types.Image, atlas: Atlas) -> None:
+    """No colour space, no half precision."""
+    image.colorspace_settings.name = "Non-Color"
+    image.alpha_mode = "CHANNEL_PACKED"
+    image.use_half_precision = False
+    image[TAG] = json.dumps(asdict(atlas))
+
+
 def of(image: bpy.types.Image) -> Atlas | None:
     """What ``image`` says of itself; None where it is none of ours."""
     text = image.get(TAG)
     return Atlas(**json.loads(text)) if isinstance(text, str) else None
+
+
+def columns(image: bpy.types.Image, count: int) -> Floats:
+    """All that an atlas of ``count`` tiles holds: (N, N, 4 ``count``), row 0 at the bottom."""
+    width, height = image.size
+    pixels = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(height, width, 4)
+    across, down = tile_grid(count)
+    size = width // across
+    found = np.empty((size, size, 4 * count), np.float32)
+    for k in range(count):
+        row, column = (down - 1 - k // across) * size, (k % across) * size
+        found[:, :, 4 * k : 4 * k + 4] = pixels[row : row + size, column : column + size]
+    return found
 
 
 def margin(image: bpy.types.Image) -> float:

@@ -370,8 +370,7 @@ def _take_as_baked(
 
 
 def _set_light(scene_name: str, state: light_state.LightState) -> None:
-    """Keep the light in the .blend and show it."""
+    """Keep the light in the .blend and show it, or that of the world where that has changed."""
     owner = bpy.data.scenes[scene_name]
-    light_state.write(owner, state)
-    writeback.set_light(state)
+    live_light.show(owner, state)
     live_light.refresh(owner, bpy.context.evaluated_depsgraph_get())

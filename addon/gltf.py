@@ -20,7 +20,9 @@ from . import (
     gltf_colors,
     gltf_frame,
     gltf_panel,
+    gltf_textures,
     light_state,
+    stale,
     stamp,
 )
 from .gltf_attributes import BASIS, BOUNCES, INCLUDES, VERSION
@@ -35,20 +37,9 @@ Settings = dict[str, Any]
 
 
 def shown_bakes() -> dict[bpy.types.Object, stamp.Stamp]:
-    """The objects of this file whose bake is shown and lies on vertices: baked, and not stale."""
+    """The objects of this file whose bake is shown: baked, and not stale."""
     stamps = {obj: stamp.read(obj) for obj in bpy.data.objects if obj.get(stamp.SWITCH) == 1.0}
-    return {o: found for o, found in stamps.items() if found is not None and not found.in_atlas}
-
-
-def in_textures(objects: Iterable[bpy.types.Object]) -> list[str]:
-    """The names of those of ``objects`` whose bakes lie in textures, which no .glb takes yet."""
-    stamps = ((obj.name, stamp.read(obj)) for obj in objects)
-    return sorted(name for name, found in stamps if found is not None and found.in_atlas)
-
-
-def left_in_textures(names: list[str]) -> str:
-    """What to say of these."""
-    return f"Left out the bake of {', '.join(names)}: bakes in textures do not go into glTF yet"
+    return {o: found for o, found in stamps.items() if found and stale.same_image(o, found)}
 
 
 class glTF2ExportUserExtension:  # the exporter looks for this name
@@ -64,7 +55,9 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         self._stamped = any(stamp.KEY in obj for obj in bpy.data.objects)
         self._short = gltf_panel.wants_short(bpy.context.scene)
         self._artist: Settings = {}
-        self._meshes: dict[tuple[int, str], Any] = {}
+        self._meshes: dict[tuple[int, str, bool], Any] = {}
+        self._maps: dict[int, gltf_textures.UvMap] = {}  # by id of the exporter's mesh
+        self._atlases: gltf_textures.Atlases | None = None
         self._originals: list[Any] = []
 
     def vtree_before_filter_hook(self, _tree: Any, settings: Settings) -> None:
@@ -77,6 +70,11 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         if settings.get("gltf_draco_mesh_compression") and self._bakes:
             self._bakes = {}
             _warn(settings, "Draco would round the bakes, so they were left out: switch it off")
+        textured = [obj for obj, found in self._bakes.items() if found.in_atlas]
+        if textured and not settings["gltf_texcoords"]:
+            self._bakes = {o: found for o, found in self._bakes.items() if not found.in_atlas}
+            names = ", ".join(sorted(obj.name for obj in textured))
+            _warn(settings, f"Left out the bake of {names}: textures need UVs, switch them on")
 
     def gather_node_mesh_hook(
         self, _node_mesh: Any, obj: bpy.types.Object | None, settings: Settings
@@ -109,6 +107,10 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
             primitive.attributes = colors.of_the_artist(primitive.attributes)
             if primitive.material is not None and primitive.material.name in defaults:
                 primitive.material = None
+        uv_map = gltf_textures.uv_map(data) if settings["gltf_texcoords"] else None
+        if uv_map is not None:
+            self._originals.append(mesh)  # so that its id stays its own
+            self._maps[id(mesh)] = uv_map
 
     def gather_node_hook(self, node: Any, _obj: bpy.types.Object | None, _settings: Any) -> None:
         """Stamps are for the .blend."""
@@ -127,12 +129,9 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         nodes = [n for n in settings["vtree"].nodes.values() if n.node and n.node.mesh]
         matrices = self._matrices(nodes, gltf_frame.world_matrices(scene.nodes), frame)
         left_out = {n.blender_object for n in nodes if not self._dress(n, matrices, frame)}
-        textured = in_textures(left_out)
-        stale = sorted({obj.name for obj in left_out} - set(textured))
-        if textured:
-            _warn(settings, left_in_textures(textured))
-        if stale and not settings.get("gltf_draco_mesh_compression"):
-            names = ", ".join(stale)
+        told = settings.get("gltf_draco_mesh_compression") or not settings["gltf_texcoords"]
+        if left_out and not told:
+            names = ", ".join(sorted(obj.name for obj in left_out))
             _warn(settings, f"Left out the bake of {names}: it is out of date, bake again")
         scene.extras = _without_ours(scene.extras)
         light = self._lights.get(blender_scene.name)
@@ -167,19 +166,55 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
     def _dress(self, node: Any, matrices: dict[bpy.types.Object, Any], frame: Any) -> bool:
         """Exchange the mesh of ``node``; False where an object was baked and comes out without."""
         obj, mesh = node.blender_object, node.node.mesh
-        key = (id(mesh), obj.name_full if obj in matrices else "")
+        uv_map = self._maps.get(id(mesh))
+        stray = uv_map is not None and (uv_map.ours or _has_our_map(obj))
+        key = (id(mesh), obj.name_full if obj in matrices else "", stray)
         if key not in self._meshes:
             self._originals.append(mesh)  # so that its id stays its own
             dressed = self._baked(mesh, obj, matrices[obj], frame) if key[1] else None
-            self._meshes[key] = dressed or _bare(mesh)
+            self._meshes[key] = dressed or _bare(mesh, uv_map if stray else None)
         node.node.mesh = self._meshes[key]
         return obj is None or stamp.KEY not in obj or _is_baked(node.node.mesh)
 
     def _baked(self, mesh: Any, obj: bpy.types.Object, matrix: Any, frame: Any) -> Any | None:
-        """``mesh`` with the bake of ``obj`` in glTF's frame; None where its attributes are gone."""
+        """``mesh`` with the bake of ``obj`` in glTF's frame; None where its attributes or its image
+        are gone."""
+        twin, mark = _twin(mesh), self._bakes[obj]
+        shown = _shown(mark.packing, self._shares[obj])
+        if mark.in_atlas:
+            stored = self._in_texture(twin, self._maps.get(id(mesh)), obj, frame)
+        else:
+            stored = self._on_vertices(twin, obj, frame)
+        if stored is None:
+            return None
+        description = _description(shown, matrix, bool(mark.bounces), stored)
+        twin.extras = {**(mesh.extras or {}), "prt": description}
+        return twin
+
+    def _in_texture(
+        self, twin: Any, uv_map: gltf_textures.UvMap | None, obj: bpy.types.Object, frame: Any
+    ) -> dict[str, Any] | None:
+        """What the extras of ``twin`` say of the atlas of ``obj``; None where it is gone, or where
+        a primitive cannot read it."""
+        image, mark = stamp.image_of(obj), self._bakes[obj]
+        surfaces = [p.attributes for p in twin.primitives if p.mode in TRIANGLES]
+        if image is None or 0 in image.size or not image.has_data:
+            return None
+        if uv_map is None or not all(uv_map.name in attributes for attributes in surfaces):
+            return None
+        binary = type(surfaces[0]["POSITION"].buffer_view)
+        self._atlases = self._atlases or gltf_textures.Atlases(frame)
+        pictures = self._atlases.of(image, mark.packing, binary)
+        for primitive in twin.primitives:
+            primitive.attributes = gltf_attributes.bare(primitive.attributes)
+        shown = pictures.shown(_shown(mark.packing, self._shares[obj]), self._shares[obj])
+        return shown | {"texture": {"images": pictures.images, "texCoord": uv_map.index}}
+
+    def _on_vertices(self, twin: Any, obj: bpy.types.Object, frame: Any) -> dict[str, Any] | None:
+        """Give ``twin`` the attributes of ``obj``, turned: what its extras say of them; None where
+        they are gone."""
         packing, share = self._bakes[obj].packing, self._shares[obj]
         shown = _shown(packing, share)
-        twin = _twin(mesh)
         read: dict[int, Any] = {}  # primitives may share attributes
         for primitive in twin.primitives:
             values = gltf_attributes.read(primitive.attributes, packing.attributes)
@@ -200,9 +235,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
                     primitive.attributes, shown.attributes, read[key], scale
                 )
             primitive.attributes = replaced[key]
-        description = _description(shown, matrix, scale, bool(self._bakes[obj].bounces))
-        twin.extras = {**(mesh.extras or {}), "prt": description}
-        return twin
+        return {"layout": list(shown.slots), "scale": 1 if scale is None else scale.tolist()}
 
 
 def _shown(packing: Layout, share: float) -> Layout:
@@ -210,13 +243,21 @@ def _shown(packing: Layout, share: float) -> Layout:
     return packing if share else replace(packing, turns=0, lights=0)
 
 
-def _bare(mesh: Any) -> Any:
-    """``mesh`` without transfer."""
-    if not any(map(gltf_attributes.is_ours, _attribute_names(mesh))):
+def _has_our_map(obj: bpy.types.Object | None) -> bool:
+    """Whether the map *PRT* of ``obj`` came with a bake."""
+    mark = stamp.read(obj) if obj is not None else None
+    return mark is not None and mark.in_atlas and not mark.own_uvs
+
+
+def _bare(mesh: Any, uv_map: gltf_textures.UvMap | None) -> Any:
+    """``mesh`` without transfer, and without ``uv_map``."""
+    if uv_map is None and not any(map(gltf_attributes.is_ours, _attribute_names(mesh))):
         return mesh
     twin = _twin(mesh)
     for primitive in twin.primitives:
         primitive.attributes = gltf_attributes.bare(primitive.attributes)
+        if uv_map is not None:
+            primitive.attributes = uv_map.without(primitive.attributes)
     return twin
 
 
@@ -241,19 +282,20 @@ def _attribute_names(mesh: Any) -> set[str]:
     return {name for primitive in mesh.primitives for name in primitive.attributes}
 
 
-def _description(layout: Layout, matrix: Any, scale: Any | None, bounces: bool) -> dict[str, Any]:
-    """``mesh.extras.prt``; ``scale`` of every float, None where they are as they are."""
+def _description(
+    layout: Layout, matrix: Any, bounces: bool, stored: dict[str, Any]
+) -> dict[str, Any]:
+    """``mesh.extras.prt``; ``stored`` says how the floats lie in attributes or in pictures."""
     return {
         "version": VERSION,
         "order": layout.order,
         "channels": layout.channels,
-        "layout": list(layout.slots),
         **({"turns": layout.turns} if layout.turns > 1 else {}),
         "frame": "world",
         "matrix": matrix.ravel(order="F").tolist(),
         "basis": BASIS,
-        "scale": 1 if scale is None else scale.tolist(),
         "includes": INCLUDES + BOUNCES * bounces,
+        **stored,
     }
 
 

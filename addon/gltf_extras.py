@@ -2,7 +2,7 @@
 frame.  The schema is in docs/gltf.md; errors are sentences."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isqrt
 from typing import Any
 
@@ -24,26 +24,31 @@ Float = npt.NDArray[np.float64]
 @dataclass(frozen=True)
 class FileBake:
     """``mesh.extras.prt``: ``columns`` (4 k) are the places of the slots of ``layout`` in the
-    file's floats, -1 where unused, ``scale`` (4 k) what the file's floats are multiplied with, and
-    ``matrix`` (3, 3) the world matrix when baked, Z up.  ``bounces`` is whether light of other
-    surfaces is inside."""
+    file's floats (F), -1 where unused, ``scale`` (F) what the file's floats are multiplied with,
+    ``offset`` (F) what is added then, and ``matrix`` (3, 3) the world matrix when baked, Z up.
+    ``bounces`` is whether light of other surfaces is inside.  Of a bake in pictures ``images`` are
+    their numbers, and they are read at TEXCOORD_``tex_coord``."""
 
     layout: Layout
     columns: tuple[int, ...]
     scale: Float
     matrix: Float
-    bounces: bool = False
+    bounces: bool
+    offset: Float
+    images: tuple[int, ...] = ()
+    tex_coord: int = 0
 
     @property
     def count(self) -> int:
         """How many attributes the file has."""
-        return len(self.scale) // 4
+        return 0 if self.images else len(self.scale) // 4
 
     def arranged(self, stored: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """The file's floats (E, 4 k) in the order of ``layout``, scaled."""
-        values = (stored * self.scale).astype(np.float32)
-        arranged = values[:, self.columns]
-        arranged[:, np.array(self.columns) < 0] = 0
+        """The file's floats (..., F) in the order of ``layout``, as they are meant."""
+        arranged = np.zeros((*stored.shape[:-1], len(self.columns)), np.float32)
+        for k, column in enumerate(self.columns):
+            if column >= 0:
+                arranged[..., k] = stored[..., column] * self.scale[column] + self.offset[column]
         return arranged
 
 
@@ -59,16 +64,34 @@ def read_bake(prt: Any) -> FileBake:
     includes = prt.get("includes")
     known = (INCLUDES, INCLUDES + BOUNCES)
     _check(includes in known, f'"{includes}" is not what a transfer of version 1 includes')
-    slots = prt.get("layout")
-    named = isinstance(slots, Sequence) and bool(slots) and len(slots) % 4 == 0
-    _check(named and not isinstance(slots, str), "layout is not four names an attribute")
+    slots, texture = prt.get("layout"), prt.get("texture")
+    width, words = (4, "four names an attribute") if texture is None else (3, "three a picture")
+    named = isinstance(slots, Sequence) and bool(slots) and len(slots) % width == 0
+    _check(named and not isinstance(slots, str), f"layout is not {words}")
     layout = _layout(prt, slots)
     scale = np.ones(len(slots)) if prt.get("scale") == 1 else prt.get("scale")
     scale = _numbers(scale, (len(slots),), f"scale is neither 1 nor {len(slots)} numbers")
     matrix = _numbers(prt.get("matrix"), (9,), "matrix is not nine numbers")
     columns = tuple(slots.index(name) if name else -1 for name in layout.slots)
     turned = turn_matrix(matrix, Y_UP.T)
-    return FileBake(layout, columns, scale, turned, includes != INCLUDES)
+    offset = np.zeros(len(slots)) if texture is None else prt.get("offset")
+    offset = _numbers(offset, (len(slots),), f"offset is not {len(slots)} numbers")
+    bake = FileBake(layout, columns, scale, turned, includes != INCLUDES, offset)
+    return bake if texture is None else _in_texture(bake, texture)
+
+
+def _in_texture(bake: FileBake, texture: Any) -> FileBake:
+    """``bake`` with what ``texture`` says."""
+    _check(isinstance(texture, Mapping), "texture says nothing of its pictures")
+    images, tex_coord, count = texture.get("images"), texture.get("texCoord"), len(bake.scale) // 3
+    listed = isinstance(images, Sequence) and len(images) == count
+    _check(listed and all(map(_is_index, images)), f"texture has not {count} images")
+    _check(_is_index(tex_coord), f"texCoord {tex_coord} is no number of a TEXCOORD")
+    return replace(bake, images=tuple(images), tex_coord=tex_coord)
+
+
+def _is_index(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
 def _layout(prt: Mapping[str, Any], slots: Sequence[str]) -> Layout:

@@ -15,7 +15,18 @@ import numpy as np
 from io_scene_gltf2.io.imp.gltf2_io_binary import BinaryData
 from mathutils import Matrix
 
-from . import attributes, carrier, gltf_frame, light_state, scene, stamp, writeback
+from . import (
+    atlas_images,
+    attributes,
+    carrier,
+    gltf_frame,
+    gltf_pictures,
+    light_state,
+    live_light,
+    scene,
+    stamp,
+    writeback,
+)
 from .gltf_attributes import FLOAT, LARGEST, SHORT, is_ours
 from .gltf_extras import FileBake, read_bake, read_light
 from .light_state import LightState
@@ -40,6 +51,7 @@ class glTF2ImportUserExtension:  # the importer looks for this name
         self._merge = False  # what the artist chose
         self._bakes: dict[int, FileBake] = {}  # by id of the importer's mesh
         self._values: dict[str, tuple[FileBake, Any]] = {}  # by name of Blender's mesh
+        self._pictures: gltf_pictures.Pictures | None = None
 
     def gather_import_scene_before_hook(self, gltf_scene: Any, _scene: Any, _gltf: Any) -> None:
         """Keep our light from being written over that of the scene."""
@@ -53,7 +65,10 @@ class glTF2ImportUserExtension:  # the importer looks for this name
         try:
             bake = read_bake(prt)
             for primitive in mesh.primitives:
-                _check_attributes(primitive, bake.count, gltf)
+                _check_primitive(primitive, bake, gltf)
+            if bake.images:
+                self._pictures = self._pictures or gltf_pictures.Pictures(gltf)
+                self._pictures.check(bake)
             for primitive in mesh.primitives:
                 for name in filter(is_ours, primitive.attributes):
                     _as_floats(gltf, gltf.data.accessors[primitive.attributes[name]])
@@ -68,15 +83,22 @@ class glTF2ImportUserExtension:  # the importer looks for this name
             _warn(gltf, f"{mesh.name} comes without its bake: {error}")
 
     def gather_import_mesh_after_hook(self, gltf_mesh: Any, mesh: Any, gltf: Any) -> None:
-        """Take the values off the mesh; they go back with all that belongs to a bake."""
+        """Take the values off the mesh; they go back with all that belongs to a bake.  Those of a
+        bake in pictures are its UVs, whose map the materials may still be about to name."""
         bake = self._bakes.get(id(gltf_mesh))
         if bake is None:
+            return
+        gltf.import_settings["merge_vertices"] = self._merge
+        if bake.images:
+            name = (
+                mesh.uv_layers[bake.tex_coord].name if bake.tex_coord < len(mesh.uv_layers) else ""
+            )
+            self._values[mesh.name] = bake, name
             return
         stored = attributes.take(mesh)
         attributes.remove(mesh)
         columns = [stored[f"{PREFIX}{k}"][1] for k in range(bake.count)]
         self._values[mesh.name] = bake, bake.arranged(np.concatenate(columns, axis=1))
-        gltf.import_settings["merge_vertices"] = self._merge
 
     def gather_import_scene_after_nodes_hook(
         self, _gltf_scene: Any, blender_scene: bpy.types.Scene, gltf: Any
@@ -103,7 +125,9 @@ class glTF2ImportUserExtension:  # the importer looks for this name
         """Write the bakes of ``objects``; whether each stands as it was baked."""
         depsgraph = carrier.depsgraph_of(owner)
         shares: dict[bpy.types.Object, bool] = {}
-        groups: dict[tuple[int, int], list[Baked]] = {}
+        groups: dict[Any, list[Baked]] = {}
+        atlases: dict[Any, gltf_pictures.FileAtlas] = {}
+        uvs = self._take_uvs(objects)
         for obj in objects:
             bake, values = self._values[obj.data.name]
             turn = _turn_since(bake, obj.matrix_world)
@@ -112,31 +136,68 @@ class glTF2ImportUserExtension:  # the importer looks for this name
                 continue
             shares[obj] = turn is UNTURNED
             layout = _shown(bake.layout, len(light.peaks), shares[obj])
-            result = _result(obj, bake, values, layout, turn)
             made = _stamp(obj, layout, carrier.needs_modifier(obj, depsgraph))
             made = replace(made, bounces=ALL if bake.bounces else 0)
-            groups.setdefault((layout.order, layout.channels), []).append((obj, result, made))
-        for group in groups.values():
-            layout = layouts.covering(result for _, result, _ in group)
-            try:
-                baked = [(obj, result, _with(mark, layout)) for obj, result, mark in group]
-                writeback.write(owner, baked, layout)
-            except BakeError as error:
-                for obj, _, _ in group:
-                    del shares[obj]
-                    _warn(gltf, f"{obj.name} comes without its bake: {error}")
+            if bake.images:
+                atlas = gltf_pictures.FileAtlas(bake, layout, turn)
+                made = replace(made, carrier="texture", domain="CORNER")
+                made = replace(made, atlas_size=self._pictures.size(bake))
+                atlases[atlas.key] = atlas
+                result = gltf_pictures.result(obj.name, layout, uvs[obj.data.name])
+            else:
+                atlas = None
+                result = _result(obj, bake, values, layout, turn)
+            key = (layout.order, layout.channels, atlas and atlas.key)
+            groups.setdefault(key, []).append((obj, result, made))
+        for (_, _, key), group in groups.items():
+            images = [self._pictures.atlas(atlases[key])] if key else []
+            for obj in _left_out(owner, group, images, gltf):
+                del shares[obj]
+        atlas_images.free_unused()
         return shares
+
+    def _take_uvs(self, objects: list[bpy.types.Object]) -> dict[str, Any]:
+        """The UVs (C, 2) of the meshes whose bakes are in pictures, by name, which lose them."""
+        meshes = {obj.data.name: obj.data for obj in objects}
+        return {
+            name: gltf_pictures.take_uvs(meshes[name], layer)
+            for name, (bake, layer) in self._values.items()
+            if bake.images and name in meshes
+        }
+
+
+def _left_out(
+    owner: bpy.types.Scene, group: list[Baked], images: list[bpy.types.Image], gltf: Any
+) -> list[bpy.types.Object]:
+    """Write bakes that one material may show, all or none; the objects that could not be."""
+    layout = layouts.covering(result for _, result, _ in group)
+    try:
+        baked = [(obj, result, _with(mark, layout)) for obj, result, mark in group]
+        writeback.write(owner, baked, layout, images)
+    except BakeError as error:
+        for obj, _, _ in group:
+            _warn(gltf, f"{obj.name} comes without its bake: {error}")
+        return [obj for obj, _, _ in group]
+    return []
 
 
 UNTURNED = np.eye(3)
 
 
-def _check_attributes(primitive: Any, count: int, gltf: Any) -> None:
-    """BakeError where a triangle primitive lacks one of ``count`` attributes."""
+def _check_primitive(primitive: Any, bake: FileBake, gltf: Any) -> None:
+    """BakeError where a triangle primitive lacks what ``bake`` needs."""
     if primitive.mode not in {None, 4, 5, 6}:
         return
     if DRACO in (primitive.extensions or {}):
         raise BakeError("Draco has rounded it")
+    if bake.images:
+        gltf_pictures.check_uvs(primitive, bake, gltf)
+    else:
+        _check_attributes(primitive, bake.count, gltf)
+
+
+def _check_attributes(primitive: Any, count: int, gltf: Any) -> None:
+    """BakeError where a triangle primitive lacks one of ``count`` attributes."""
     vertices = gltf.data.accessors[primitive.attributes["POSITION"]].count
     for k in range(count):
         name = f"{PREFIX}{k}"
@@ -232,8 +293,6 @@ def _take_light(
     """Light the bakes: by the light of the scene where it has one, which those of the file then
     follow as far as theirs is the same."""
     before = light_state.read(owner)
-    if before is None:
-        light_state.write(owner, light)
     for obj, standing in shares.items():
         mark = stamp.read(obj)
         if not standing or mark is None:
@@ -241,7 +300,7 @@ def _take_light(
         elif before is not None:
             with_peaks = mark.packing.lights > 0
             stamp.set_share(obj, light_state.share(light, before, with_peaks))
-    writeback.set_light(before or light)
+    live_light.show(owner, before or light)
 
 
 def _warn(gltf: Any, sentence: str) -> None:

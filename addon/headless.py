@@ -12,7 +12,7 @@ from typing import Any
 
 import bpy
 
-from . import bake, figures, gltf, gltf_export, gltf_panel, outputs, properties, scene, selection
+from . import bake, figures, gltf_export, gltf_panel, outputs, properties, scene, selection
 from .atlas_files import Target
 from .options import Options
 from .progress_lines import ProgressLines
@@ -156,10 +156,7 @@ def _write(asked: Options, places: dict[Path, Path], names: list[str], report: R
         _save(asked.save, places[asked.save])
     if asked.gltf:
         with gltf_panel.chosen(bpy.context.scene, asked.gltf_short):
-            textured = gltf.in_textures(bpy.data.objects[name] for name in names)
-            if textured:
-                sys.stderr.write(f"{gltf.left_in_textures(textured)}\n")
-            gltf_export.write(str(places[asked.gltf]), [n for n in names if n not in textured])
+            gltf_export.write(str(places[asked.gltf]), names)
     if asked.report:
         text = json.dumps(report, indent=2, ensure_ascii=False)
         places[asked.report].write_text(f"{text}\n", encoding="utf-8")

@@ -46,6 +46,12 @@ def refresh(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
     return changed
 
 
+def show(scene: bpy.types.Scene, state: LightState) -> None:
+    """Keep ``state`` as the light of ``scene`` and show it."""
+    writeback.set_light(state)
+    light_state.write(scene, state)
+
+
 def _follow(scene: bpy.types.Scene, simple: SimpleWorld | None) -> tuple[bool, str]:
     """Show and keep the light of ``simple``: whether it is another one, and what hindered."""
     state = light_state.read(scene)
@@ -61,8 +67,7 @@ def _follow(scene: bpy.types.Scene, simple: SimpleWorld | None) -> tuple[bool, s
     if simple.image_key == state.image_key and np.array_equal(radiance, state.radiance_sh):
         return False, ""
     now = replace(state, image_key=simple.image_key, image_sh=image_sh, radiance_sh=radiance)
-    writeback.set_light(now)
-    light_state.write(scene, now)
+    show(scene, now)
     return True, ""
 
 

@@ -21,7 +21,7 @@ def reason(obj: bpy.types.Object, stamp: Stamp) -> str | None:
     """Why the bake of ``obj`` is not shown, one sentence; None where it is.  Looks at no vertex."""
     if _moved(obj, stamp):
         return f"{obj.name} has been moved, turned or scaled since its bake: bake it again"
-    if not _same_image(obj, stamp):
+    if not same_image(obj, stamp):
         return f"The image of {obj.name} is gone or another bake's: bake it again"
     if not obj.get(stamps.SWITCH):
         return f"The mesh of {obj.name} has been edited since its bake: bake it again"
@@ -38,7 +38,7 @@ def _refresh(obj: bpy.types.Object) -> None:
     stamp = stamps.read(obj)
     if stamp is None or obj.data.is_editmode:
         return
-    fits = not _moved(obj, stamp) and _same_image(obj, stamp) and _same_mesh(obj, stamp)
+    fits = not _moved(obj, stamp) and same_image(obj, stamp) and _same_mesh(obj, stamp)
     stamps.switch(obj, on=fits)
 
 
@@ -54,7 +54,7 @@ def _reach(place: np.ndarray) -> float:
     return float(max(1.0, np.abs(place).max()))
 
 
-def _same_image(obj: bpy.types.Object, stamp: Stamp) -> bool:
+def same_image(obj: bpy.types.Object, stamp: Stamp) -> bool:
     """Whether the atlas that ``obj`` shows is there and of its bake."""
     if not stamp.in_atlas:
         return True

@@ -18,7 +18,6 @@ from .prt.results import Atlas, Results
 from .prt.surface.points import Surface
 from .prt.surface.samples import random_places
 from .prt.texture.sampling import bilinear
-from .prt.tiles import tile_grid
 
 NAME = "PRT Atlas"
 Floats = npt.NDArray[np.float32]
@@ -133,16 +132,6 @@ def with_what_is_shown(
 
 def sampled(image: bpy.types.Image, layout: layouts.Layout, uvs: npt.NDArray[np.float64]) -> Floats:
     """What ``image`` shows at ``uvs`` (S, 2), as ``layouts.pack`` arranges it (S, 4 k)."""
-    width, height = image.size
-    pixels = np.empty(width * height * 4, np.float32)
-    image.pixels.foreach_get(pixels)
-    pixels = pixels.reshape(height, width, 4)
-    count = len(layout.attributes)
-    columns, rows = tile_grid(count)
-    size, margin = width // columns, atlas_images.margin(image)
-    inside = np.clip(uvs, margin, 1 - margin)
-    found = []
-    for k in range(count):
-        row, column = (rows - 1 - k // columns) * size, (k % columns) * size
-        found.append(bilinear(pixels[row : row + size, column : column + size], inside))
-    return np.concatenate(found, axis=1)
+    margin = atlas_images.margin(image)
+    values = atlas_images.columns(image, len(layout.attributes))
+    return bilinear(values, np.clip(uvs, margin, 1 - margin))

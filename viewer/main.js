@@ -22,10 +22,11 @@ async function open(name, buffer) {
 }
 
 async function openModel(name, buffer) {
-  const { baked, triangles, attributes, problems } = await stage.loadModel(buffer);
+  const { baked, triangles, attributes, pictures, problems } = await stage.loadModel(buffer);
   for (const id of ['environment', 'model']) slide(id, 0);
   $('name').textContent = name;
-  $('facts').textContent = `${count(baked, 'bake')}, ${count(triangles, 'triangle')}, ${count(attributes, 'attribute')} each`;
+  const stored = [attributes && `${count(attributes, 'attribute')} each`, pictures && count(pictures, 'picture')].filter(Boolean);
+  $('facts').textContent = [count(baked, 'bake'), count(triangles, 'triangle'), ...stored].join(', ');
   say(problems.join('\n'));
   $('residual').disabled = !stage.primitives.some((one) => one.bake?.turns);
   $('lights').disabled = !stage.primitives.some((one) => one.bake?.lights);

@@ -10,9 +10,13 @@ function check(holds, sentence) {
   if (!holds) throw new Error(sentence);
 }
 
-// The bake of one primitive: { layout, turns, lights, matrix, scale }. `prt` is mesh.extras.prt,
-// `geometry` three.js' BufferGeometry, which has the names of attributes in lower case.
-export function readBake(prt, geometry) {
+const TEXCOORDS = ['uv', 'uv1', 'uv2', 'uv3']; // what three.js calls the first of them
+
+// The bake of one primitive: { layout, turns, lights, matrix, scale }, and of one in pictures
+// { offset, images, uv }, `uv` being the attribute that they are read by. `prt` is mesh.extras.prt,
+// `geometry` three.js' BufferGeometry, which has the names of attributes in lower case, and `images`
+// those of the document.
+export function readBake(prt, geometry, images = []) {
   check(prt.version === 1, `its bake has version ${prt.version}, and this viewer knows 1`);
   check(Number.isInteger(prt.order) && prt.order >= 1 && prt.order <= 5, `order ${prt.order} is none of 1 to 5`);
   check(prt.channels === 1 || prt.channels === 3, `${prt.channels} channels are neither 1 nor 3`);
@@ -25,13 +29,16 @@ export function readBake(prt, geometry) {
   const { layout } = prt;
   const scale = prt.scale === 1 ? layout.map(() => 1) : prt.scale;
   check(numbers(scale, layout.length), `scale is neither 1 nor ${layout.length} numbers`);
-  checkAttributes(layout, geometry);
   const lights = layout.filter((slot) => slot[0] === 'S').length;
-  return { order: prt.order, layout, turns, lights, matrix: prt.matrix, scale };
+  const bake = { order: prt.order, layout, turns, lights, matrix: prt.matrix, scale };
+  if (prt.texture) return { ...bake, offset: prt.offset, ...readTexture(prt, geometry, images) };
+  checkAttributes(layout, geometry);
+  return bake;
 }
 
-function checkLayout({ layout, order, channels }, turns) {
-  check(Array.isArray(layout) && layout.length && layout.length % 4 === 0, 'layout is not four names an attribute');
+function checkLayout({ layout, order, channels, texture }, turns) {
+  const [width, words] = texture ? [3, 'three names a picture'] : [4, 'four names an attribute'];
+  check(Array.isArray(layout) && layout.length && layout.length % width === 0, `layout is not ${words}`);
   const suffixes = channels === 3 ? ['r', 'g', 'b'] : [''];
   const expected = [...Array(order * order).keys()].flatMap((i) => suffixes.map((c) => `T${i}${c}`));
   for (let k = 0; k < turns; ++k) expected.push(...['r', 'g', 'b'].map((c) => `R${k}${c}`));
@@ -40,6 +47,18 @@ function checkLayout({ layout, order, channels }, turns) {
   const unknown = used.find((slot) => !expected.includes(slot) && !/^(S[0-3]|V(1?[0-9]|2[0-4]))$/.test(slot));
   check(unknown === undefined, `layout has ${unknown}, which order, channels and turns leave no place for`);
   check(new Set(used).size === used.length, 'layout has a name twice');
+}
+
+function readTexture({ texture, layout, offset }, geometry, images) {
+  check(numbers(offset, layout.length), `offset is not ${layout.length} numbers`);
+  const count = layout.length / 3;
+  check(Array.isArray(texture.images) && texture.images.length === count, `texture has not ${count} images`);
+  for (const index of texture.images) check(images[index]?.bufferView !== undefined, `image ${index} is not in the file`);
+  const name = TEXCOORDS[texture.texCoord] ?? `texcoord_${texture.texCoord}`;
+  const uv = geometry.attributes[name];
+  check(uv, `attribute TEXCOORD_${texture.texCoord} is missing`);
+  check(uv.array.every(Number.isFinite), `attribute TEXCOORD_${texture.texCoord} has a value that is no number`);
+  return { images: texture.images, uv };
 }
 
 function checkAttributes(layout, geometry) {
@@ -73,12 +92,12 @@ export function readLight(light) {
 
 // WebGL has 16 vertex attributes. Of the material's own, position, texture coordinates and vertex
 // colours remain; what Blender's EEVEE shows (14 with the artist's own) always fits.
-export function checkRoom(layout, geometry, material, most) {
+export function checkRoom({ layout, images }, geometry, material, most) {
   const textures = Object.values(material).filter((value) => value?.isTexture);
   const names = ['position', ...new Set(textures.map(({ channel }) => `uv${channel || ''}`))];
   if (material.vertexColors) names.push('color');
   if (material.isMeshStandardMaterial) names.push('normal', 'tangent');
   const own = names.filter((name) => geometry.attributes[name]).length;
-  const used = own + layout.length / 4;
+  const used = own + (images ? 1 : layout.length / 4);
   check(used <= most, `it takes ${used} vertex attributes, and WebGL has ${most} here`);
 }

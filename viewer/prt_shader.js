@@ -2,46 +2,50 @@
 //
 //   exit radiance = albedo · max(0, Σ T_i l_i + w R + Σ S_j wlamp_j)
 //
-// The sum is linear in what the vertices hold, so it is taken in the vertex shader and interpolated:
-// one varying, whatever the order. The clamp and the albedo come after that.
+// The sum is linear in what is stored. Where that is at the vertices it is taken in the vertex shader
+// and interpolated: one varying, whatever the order. The clamp and the albedo come after that.
 
 const XYZW = 'xyzw';
 const FACTORS = { T: 'prtTransfer', R: 'prtResidual', S: 'prtLights' };
 
-// Above main() of the vertex shader. `layout` is that of mesh.extras.prt; names of attributes are in
-// lower case because three.js makes them so.
-export function declarations(layout) {
+// What a bake of `layout` (of mesh.extras.prt) is multiplied by.
+function factors(layout) {
   const count = (kind) => 1 + Math.max(0, ...layout.filter((s) => s[0] === kind).map((s) => parseInt(s.slice(1))));
-  const attributes = Array.from({ length: layout.length / 4 }, (_, k) => `attribute vec4 _prt_${k};`);
   return `
-    ${attributes.join('\n')}
     uniform vec3 prtTransfer[${count('T')}];  // l_i: light, less what the cut-out lights are
     uniform vec3 prtResidual[${count('R')}];  // w of each turn
     uniform vec3 prtLights[${count('S')}];    // w E_j / π
-    uniform vec4 prtScale[${layout.length / 4}];      // 1, or that of normalized SHORT
-    varying vec3 prtSum;
   `;
 }
 
-// In main() of the vertex shader: each stored float times its factor.
-export function sum(layout) {
+// The stored floats, four to each of `vectors`, times their factors.
+function sum(layout, vectors) {
   const lines = layout.flatMap((slot, i) => {
     const name = /^([TRS])(\d+)([rgb]?)$/.exec(slot);
     if (!name) return [];
     const [, kind, index, channel] = name;
-    const stored = `prt${i >> 2}.${XYZW[i & 3]}`;
     const component = channel ? `.${channel}` : '';
-    return [`prtSum${component} += ${stored} * ${FACTORS[kind]}[${index}]${component};`];
+    return [`prtSum${component} += prt${i >> 2}.${XYZW[i & 3]} * ${FACTORS[kind]}[${index}]${component};`];
   });
-  const scaled = Array.from({ length: layout.length / 4 }, (_, k) => `vec4 prt${k} = prtScale[${k}] * _prt_${k};`);
-  return `prtSum = vec3(0.0);\n${scaled.join('\n')}\n${lines.join('\n')}\n`;
+  return [...vectors.map((vector, k) => `vec4 prt${k} = ${vector};`), 'prtSum = vec3(0.0);', ...lines].join('\n');
 }
 
-// In the fragment shader.
-export const fragmentDeclarations = `
-  uniform float prtAlbedo;   // 1, or 0 for a white surface
-  uniform vec3 prtEmission;
-  varying vec3 prtSum;
-`;
-export const exitRadiance =
-  'mix(vec3(1.0), diffuseColor.rgb, prtAlbedo) * max(prtSum, vec3(0.0)) + prtEmission';
+const quarters = (layout) => [...Array(Math.ceil(layout.length / 4)).keys()];
+
+// A bake in attributes; three.js makes their names lower case. `vertex` and `fragment` are what
+// stands above main() and in it.
+export const onVertices = (layout) => ({
+  vertex: [`${quarters(layout).map((k) => `attribute vec4 _prt_${k};`).join('\n')} ${factors(layout)}
+    uniform vec4 prtScale[${layout.length / 4}]; // 1, or that of normalized SHORT
+    varying vec3 prtSum;`, sum(layout, quarters(layout).map((k) => `prtScale[${k}] * _prt_${k}`))],
+  fragment: ['varying vec3 prtSum;', ''],
+});
+
+// A bake in the layers of a texture, decoded: atlas.js.
+export const inTexture = (layout) => ({
+  vertex: ['attribute vec2 _prt_uv; varying vec2 prtUv;', 'prtUv = _prt_uv;'],
+  fragment: [`uniform highp sampler2DArray prtAtlas; varying vec2 prtUv; ${factors(layout)}`,
+    `vec3 prtSum; ${sum(layout, quarters(layout).map((k) => `texture(prtAtlas, vec3(prtUv, ${k}.0))`))}`],
+});
+
+export const exitRadiance = 'mix(vec3(1.0), diffuseColor.rgb, prtAlbedo) * max(prtSum, vec3(0.0)) + prtEmission';

@@ -2,6 +2,7 @@
 import * as THREE from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import { OrbitControls } from 'three/addons/controls/OrbitControls.js';
+import { decoded } from './atlas.js';
 import { bakedMaterial, setLight } from './baked_material.js';
 import * as environment from './environment.js';
 import { ErrorView } from './error_view.js';
@@ -26,31 +27,33 @@ export class Stage {
     this.view = 'baked';
     this.turns = { environment: 0, model: 0 };
     this.primitives = []; // { mesh, plain, baked, bake }
+    this.atlases = new Map();
     this.errorView = new ErrorView();
     this.light = null; // of the file
     this.picture = null; // { light, texture } of a dropped environment
   }
 
-  // Shows the .glb in `buffer`; { baked, triangles, attributes, problems } of it, problems being
-  // sentences. What cannot show its bake shows its plain material.
+  // Shows the .glb in `buffer`; { baked, triangles, attributes, pictures, problems } of it, problems
+  // being sentences. What cannot show its bake shows its plain material.
   async loadModel(buffer) {
     const gltf = await new GLTFLoader().parseAsync(buffer, '');
     this.#clear();
     this.#place(gltf.scene);
     const problems = this.#readLight(gltf.scene);
-    let triangles = 0, attributes = 0;
-    gltf.scene.traverse((mesh) => {
-      if (!mesh.isMesh) return;
-      triangles += (mesh.geometry.index ?? mesh.geometry.attributes.position).count / 3;
-      const primitive = this.#primitive(mesh, gltf.parser, problems);
-      if (primitive.bake) attributes = Math.max(attributes, primitive.bake.layout.length / 4);
-      this.primitives.push(primitive);
-    });
-    const baked = this.primitives.filter((one) => one.bake).length;
-    if (!baked && !problems.length) problems.push('Nothing in this file is baked');
+    const meshes = [];
+    gltf.scene.traverse((mesh) => mesh.isMesh && meshes.push(mesh));
+    for (const mesh of meshes) this.primitives.push(await this.#primitive(mesh, gltf.parser, problems));
+    const bakes = this.primitives.flatMap((one) => one.bake ?? []);
+    if (!bakes.length && !problems.length) problems.push('Nothing in this file is baked');
     this.#showEnvironment();
     this.update();
-    return { baked, triangles, attributes, problems: [...new Set(problems)] };
+    return {
+      baked: bakes.length,
+      triangles: meshes.reduce((sum, { geometry: { index, attributes } }) => sum + (index ?? attributes.position).count / 3, 0),
+      attributes: Math.max(0, ...bakes.map(({ images, layout }) => (images ? 0 : layout.length / 4))),
+      pictures: new Set(bakes.flatMap(({ images }) => images ?? [])).size,
+      problems: [...new Set(problems)],
+    };
   }
 
   #readLight(scene) {
@@ -63,22 +66,37 @@ export class Stage {
     }
   }
 
-  #primitive(mesh, parser, problems) {
+  async #primitive(mesh, parser, problems) {
     const place = parser.associations.get(mesh);
     const document = parser.json.meshes[place.meshes];
     const plain = mesh.material;
     const prt = document.extras?.prt;
     if (!prt || !this.light) return { mesh, plain };
     try {
-      const bake = readBake(prt, mesh.geometry);
+      const bake = readBake(prt, mesh.geometry, parser.json.images);
+      if (bake.images) {
+        mesh.geometry.setAttribute('_prt_uv', bake.uv);
+        bake.atlas = await this.#atlas(bake, parser);
+      }
       const own = document.primitives[place.primitives ?? 0].material !== undefined;
       const baked = bakedMaterial(own ? plain : null, bake);
-      checkRoom(bake.layout, mesh.geometry, baked, this.renderer.capabilities.maxAttributes);
+      checkRoom(bake, mesh.geometry, baked, this.renderer.capabilities.maxAttributes);
       return { mesh, plain, baked, bake };
     } catch (error) {
       problems.push(`${document.name ?? mesh.name} is shown with its plain material: ${error.message}`);
       return { mesh, plain };
     }
+  }
+
+  // The decoded pictures of a bake; objects of one atlas share them.
+  async #atlas(bake, parser) {
+    const { images, scale, offset, layout } = bake;
+    const key = JSON.stringify([images, scale, offset, layout]);
+    if (!this.atlases.has(key)) {
+      const views = images.map((index) => parser.getDependency('bufferView', parser.json.images[index].bufferView));
+      this.atlases.set(key, await decoded(this.renderer, bake, await Promise.all(views)));
+    }
+    return this.atlases.get(key);
   }
 
   // Another environment, from a .hdr or .exr file.
@@ -220,6 +238,8 @@ export class Stage {
       plain.dispose();
       baked?.dispose();
     }
+    for (const texture of this.atlases.values()) texture.dispose();
+    this.atlases.clear();
     this.pivot.clear();
     this.primitives = [];
   }

@@ -14,8 +14,6 @@ from prt_baker.addon import (
     atlas_files,
     atlas_images,
     bake,
-    gltf,
-    outputs,
     remove,
     stale,
     stamp,
@@ -372,14 +370,3 @@ def test_files_say_which_bake_they_are_of(tmp_path):
     (tmp_path / "other.exr").write_bytes(b"sky")
     assert atlas_files.job_hash(tmp_path / "other.exr") is None
     assert atlas_files.job_hash(tmp_path / "missing.exr") is None
-
-
-def test_gltf_leaves_textures_out(scene, tmp_path):
-    first, second = quad(scene, material=principled("A")), quad(scene, 2, 0, principled("B"))
-    textured.write(scene, tmp_path, LAYOUT, first)
-    from bakes import write
-
-    write(scene, LAYOUT, second)
-    assert list(gltf.shown_bakes()) == [second]
-    assert gltf.in_textures([first, second]) == [first.name]
-    assert outputs is not None

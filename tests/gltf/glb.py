@@ -5,6 +5,7 @@ import struct
 from pathlib import Path
 
 import numpy as np
+from pngs import pixels_of
 
 DTYPES = {5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -60,6 +61,22 @@ class Glb:
         ]
         values = np.concatenate(rows) * np.asarray(self.prt(name)["scale"], np.float32)
         return values[:, np.vectorize(layout.index)(names)]
+
+    def atlas(self, name):
+        """What the pictures of the node ``name`` hold, (N, N, floats), top row first."""
+        prt = self.prt(name)
+        scale, offset = (np.array(prt[key]) for key in ("scale", "offset"))
+        pictures = [self.picture(index) for index in prt["texture"]["images"]]
+        bytes_ = np.concatenate(pictures, axis=2).astype(float)
+        size = bytes_.shape[1]
+        assert bytes_.shape == (2 * size, size, len(prt["layout"]))
+        return offset + scale * (256 * bytes_[:size] + bytes_[size:]) / 65535
+
+    def picture(self, index):
+        """The pixels (H, W, 3) of an image."""
+        view = self.document["bufferViews"][self.document["images"][index]["bufferView"]]
+        start = view.get("byteOffset", 0)
+        return pixels_of(self.binary[start : start + view["byteLength"]])
 
     def world(self, name):
         """The world 3x3 of the node ``name``."""

@@ -23,3 +23,10 @@ def of_mesh(**values):
 
 def of_scene(**values):
     return lambda document: document["scenes"][0]["extras"]["prt_light"].update(values)
+
+
+def of_texture(**values):
+    def change(document):
+        document["meshes"][0]["extras"]["prt"]["texture"].update(values)
+
+    return change

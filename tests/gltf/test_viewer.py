@@ -5,13 +5,16 @@ import json
 import bpy
 import numpy as np
 import pytest
-from glb_edit import of_mesh, of_scene, rewritten
+from glb import Glb
+from glb_edit import of_mesh, of_scene, of_texture, rewritten
 from gltf_scenes import COLORS, colored, monkey, rotated
+from gltf_textured import bake_in_texture
 from gltf_worlds import bundled, hdri
 from prt_baker.addon import gltf_export
 from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.files import images
 from prt_baker.addon.prt.job import Peak
+from prt_baker.addon.prt.layout import Layout
 from prt_baker.addon.prt.light import lat_long, residual
 
 FRAME = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from Z up to Y up
@@ -169,6 +172,32 @@ MALFORMED = {
 }
 
 
+IN_TEXTURE = {
+    "layout is not three names a picture": of_mesh(layout=["T0", "T1", "T2", "T3"]),
+    "offset is not 12 numbers": of_mesh(offset=[0]),
+    "scale is neither 1 nor 12 numbers": of_mesh(scale=[None] * 12),
+    "texture has not 4 images": of_texture(images=[0, 1]),
+    "image 99 is not in the file": of_texture(images=[0, 1, 2, 99]),
+    "attribute TEXCOORD_7 is missing": of_texture(texCoord=7),
+    "a picture of the bake is 8 by 8, and not 8 by 16": lambda document: pictures_of(
+        document
+    ).insert(0, artists_image(document)),
+    "cannot be decoded": lambda document: document["images"][pictures_of(document)[1]].update(
+        bufferView=document["accessors"][attributes_of(document)["POSITION"]]["bufferView"]
+    ),
+}
+
+
+def pictures_of(document):
+    return document["meshes"][0]["extras"]["prt"]["texture"]["images"]
+
+
+def artists_image(document):
+    """Its index; the bake's last one makes room."""
+    pictures_of(document).pop()
+    return next(i for i, image in enumerate(document["images"]) if image["name"] == "Artist's")
+
+
 def attributes_of(document):
     return document["meshes"][0]["primitives"][0]["attributes"]
 
@@ -199,6 +228,66 @@ def test_what_is_malformed_is_named_and_shown_plain(scene, bake, out, page, sent
     assert len(said["problems"]) == 1
     assert sentence in said["problems"][0]
     assert "plain material" in said["problems"][0]
+
+
+@pytest.mark.parametrize("sentence", IN_TEXTURE)
+def test_what_is_malformed_in_a_texture_is_named_and_shown_plain(
+    scene, out, page, tmp_path, sentence
+):
+    bake_in_texture(tmp_path, [pictured(monkey())])
+    gltf_export.write(str(out))
+    assert page.run(LOOK, glb=out)["problems"] == []
+    rewritten(out, IN_TEXTURE[sentence])
+    said = page.run(LOOK, glb=out)
+    assert said["baked"] == 0
+    assert said["plain"]
+    assert len(said["problems"]) == 1
+    assert sentence in said["problems"][0]
+    assert "plain material" in said["problems"][0]
+
+
+def pictured(obj):
+    """``obj`` with a material that shows an image of 8 x 8."""
+    material = bpy.data.materials.new("Pictured")
+    if bpy.app.version < (5, 0):
+        material.use_nodes = True
+    node = material.node_tree.nodes.new("ShaderNodeTexImage")
+    node.image = bpy.data.images.new("Artist's", 8, 8)
+    shader = next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED")
+    material.node_tree.links.new(node.outputs["Color"], shader.inputs["Base Color"])
+    obj.data.materials.append(material)
+    return obj
+
+
+@pytest.mark.parametrize("floats", [True, False])
+def test_pictures_are_decoded_to_the_number(scene, out, page, tmp_path, floats):
+    """Half floats, where floats cannot be filtered, lose 1/1024 at most."""
+    obj = monkey()
+    bake_in_texture(tmp_path, [obj], Layout(5, turns=1), size=32)
+    gltf_export.write(str(out))
+    body = f"""
+        const {{ stage, THREE }} = viewer, {{ extensions }} = stage.renderer;
+        const {{ has }} = extensions;
+        extensions.has = (name) => name !== 'OES_texture_float_linear' || {str(floats).lower()};
+        try {{ await stage.loadModel(files.glb); }} finally {{ extensions.has = has; }}
+        const {{ atlas, layout }} = stage.primitives[0].bake, {{ width }} = atlas.image;
+        const target = atlas.renderTarget, Numbers = {"Float32Array" if floats else "Uint16Array"};
+        return Array.from({{ length: layout.length / 4 | 0 }}, (_, k) => {{
+          const values = new Numbers(4 * width * width);
+          stage.renderer.setRenderTarget(target, k);
+          const gl = stage.renderer.getContext();
+          const kind = {"gl.FLOAT" if floats else "gl.HALF_FLOAT"};
+          gl.readPixels(0, 0, width, width, gl.RGBA, kind, values);
+          stage.renderer.setRenderTarget(null);
+          return Array.from(values, {"(v) => v" if floats else "THREE.DataUtils.fromHalfFloat"});
+        }});
+    """
+    glb = Glb(out)
+    truth = glb.atlas(obj.name)
+    found = np.reshape(page.run(body, glb=out), (-1, 32, 32, 4))
+    found = found.transpose(1, 2, 0, 3).reshape(32, 32, -1)
+    step = 1e-6 * abs(truth).max() if floats else abs(truth[..., : found.shape[2]]) / 1024 + 1e-6
+    assert (np.abs(found - truth[..., : found.shape[2]]) <= step).all()
 
 
 def test_a_value_that_is_no_number_is_named(scene, bake, out, page):
@@ -266,8 +355,6 @@ def test_what_does_not_fit_is_shown_plain(scene, bake, out, page):
 
 def test_three_reads_the_attributes_that_are_in_the_file(scene, bake, out, page):
     """Against this suite's own reader, which shares nothing with three.js."""
-    from glb import Glb
-
     bake(rotated(), order=4, channels=3, turns=1, domain="CORNER")
     gltf_export.write(str(out))
     body = """

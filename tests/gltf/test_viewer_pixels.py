@@ -2,15 +2,18 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 from gltf_scenes import mirrored, monkey, rotated, sheared
+from gltf_textured import bake_in_texture
 from gltf_worlds import colour, hdri
 from prt_baker.addon import bake as baking
 from prt_baker.addon import gltf_export, light_state
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.layout import Layout
 from viewer_laws import HEIGHT, WIDTH, encoded, expected
 
 OPEN = f"""
@@ -110,7 +113,24 @@ def real(bake):
     return objects
 
 
-SCENES = {f.__name__.replace("_", " "): f for f in (by_hand, modified, many, short, real)}
+def textured(bake):
+    """An atlas of two objects, one of them through modifiers, and one of three channels at the
+    highest order."""
+    first, second, third = painted(mirrored()), monkey("Second"), sheared()
+    second.modifiers.new("Subdivision", "SUBSURF")
+    second.location, third.location = (3, 0, 0), (-3, 1, 0)
+    third.data.materials.append(bpy.data.materials.new("Own"))
+    for shared in (first, second):
+        shared.data.materials.clear()
+        shared.data.materials.append(bpy.data.materials.get("Painted"))
+    bpy.context.view_layer.update()
+    folder = Path(bpy.app.tempdir)
+    bake_in_texture(folder, [first, second], Layout(3, turns=12, lights=2), size=128)
+    bake_in_texture(folder, [third], Layout(5, channels=3, turns=1))
+    return [first, second, third]
+
+
+SCENES = {f.__name__.replace("_", " "): f for f in (by_hand, modified, many, short, textured, real)}
 
 
 @pytest.mark.parametrize("make", SCENES.values(), ids=SCENES)

@@ -1,10 +1,13 @@
 """What a pixel of the viewer has to be, worked out from the .blend alone: rays through pixels meet
 the evaluated meshes, and numpy evaluates what these hold.  Frames are Blender's, Z up."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import bpy
 import numpy as np
 from gltf_laws import Y_UP
-from prt_baker.addon import carrier, light_state, stamp
+from prt_baker.addon import atlas_images, carrier, light_state, stamp, uv_maps
 from prt_baker.addon.prt import layout as layouts
 from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.light import residual
@@ -23,7 +26,10 @@ def about_z(degrees):
 def expected(objects, camera, turned_world=0.0, turned_model=0.0):
     """The pixels (H) of a picture, bottom row first, that single triangles fill, and their exit
     radiance (H, 3); ``camera`` as the page tells it."""
-    triangles, light = _triangles(objects, turned_world - turned_model)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    turn = about_z(turned_world - turned_model)
+    parts = [_of_object(obj, depsgraph, turn) for obj in objects]
+    triangles = np.concatenate([part.triangles for part in parts])
     rng = np.random.default_rng(1)
     pixels = rng.choice(WIDTH * HEIGHT, PIXELS, replace=False)
     centre = Y_UP.T @ np.array(camera["pivot"])
@@ -38,9 +44,13 @@ def expected(objects, camera, turned_world=0.0, turned_model=0.0):
         else:
             kept = met == index
         pixels, index, weights = pixels[kept], index[kept], weights[kept]
-    radiance, albedo = light
-    seen = np.einsum("hk,hkc->hc", weights, radiance[index])
-    return pixels, albedo[index] * np.maximum(seen, 0)
+    starts = np.cumsum([0, *(len(part.triangles) for part in parts)])
+    seen = np.empty((len(pixels), 3))
+    for part, start in zip(parts, starts, strict=False):
+        here = (index >= start) & (index < start + len(part.triangles))
+        its = index[here] - start
+        seen[here] = part.albedo[its] * np.maximum(part.radiance(its, weights[here]), 0)
+    return pixels, seen
 
 
 def _rays(camera, x, y):
@@ -73,13 +83,15 @@ def _meet(triangles, origin, directions):
     return found, weights
 
 
-def _triangles(objects, turned):
-    """Corners (T, 3, 3) of all triangles, their unclamped radiance (T, 3, 3) of a white surface
-    under the scene's light ``turned`` by degrees, and their albedo (T, 3)."""
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    parts = [_of_object(obj, depsgraph, about_z(turned)) for obj in objects]
-    corners, radiance, albedo = map(np.concatenate, zip(*parts, strict=True))
-    return corners, (radiance, albedo)
+@dataclass(frozen=True)
+class Part:
+    """One object: ``triangles`` (T, 3, 3), their ``albedo`` (T, 3), and the unclamped ``radiance``
+    (H, 3) of a white surface at places of triangles (H) with the weights (H, 3) of their corners.
+    """
+
+    triangles: np.ndarray
+    albedo: np.ndarray
+    radiance: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def _of_object(obj, depsgraph, turn):
@@ -91,17 +103,43 @@ def _of_object(obj, depsgraph, turn):
         loops = np.array([t.loops[:] for t in triangles])
         slots = np.array([t.material_index for t in triangles])
         positions = np.array([v.co[:] for v in mesh.vertices])
-        columns = []
-        for name in made.packing.attributes:
-            data = mesh.attributes[name].data
-            values = np.empty(4 * len(data), np.float32)
-            data.foreach_get("color", values)
-            columns.append(values.reshape(-1, 4))
-    values = layouts.unpack(made.packing, np.concatenate(columns, axis=1))
+        uvs = uv_maps.read(mesh) if made.in_atlas else None
+        columns = [] if made.in_atlas else [_values(mesh, n) for n in made.packing.attributes]
     world = np.array(obj.matrix_world)
-    positions = positions @ world[:3, :3].T + world[:3, 3]
-    places = vertices if made.domain == "POINT" else loops
-    return positions[vertices], _radiance(obj, made, values, turn)[places], _albedo(obj)[slots]
+    positions = (positions @ world[:3, :3].T + world[:3, 3])[vertices]
+    if made.in_atlas:
+        atlas = atlas_images.columns(stamp.image_of(obj), len(made.packing.attributes))
+
+        def radiance(index, weights):
+            at = np.einsum("hk,hkc->hc", weights, uvs[loops[index]])
+            values = layouts.unpack(made.packing, bilinear(atlas, at).astype(np.float32))
+            return _radiance(obj, made, values, turn)
+
+        return Part(positions, _albedo(obj)[slots], radiance)
+    values = layouts.unpack(made.packing, np.concatenate(columns, axis=1))
+    corners = _radiance(obj, made, values, turn)[vertices if made.domain == "POINT" else loops]
+    return Part(
+        positions,
+        _albedo(obj)[slots],
+        lambda index, weights: np.einsum("hk,hkc->hc", weights, corners[index]),
+    )
+
+
+def _values(mesh, name):
+    data = mesh.attributes[name].data
+    values = np.empty(4 * len(data), np.float32)
+    data.foreach_get("color", values)
+    return values.reshape(-1, 4)
+
+
+def bilinear(image, uvs):
+    """What a read of ``image`` (N, N, K), row 0 at the bottom, finds at ``uvs`` (H, 2)."""
+    place = np.clip(uvs * len(image) - 0.5, 0, len(image) - 1)
+    low = np.minimum(place.astype(int), len(image) - 2)
+    (u, v), (c, r) = (place - low).T[:, :, None], low.T
+    below = (1 - u) * image[r, c] + u * image[r, c + 1]
+    above = (1 - u) * image[r + 1, c] + u * image[r + 1, c + 1]
+    return (1 - v) * below + v * above
 
 
 def _radiance(obj, made, values, turn):
