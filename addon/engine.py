@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from .prt import job as jobs
+from .prt.compression.request import Coded, Request, read_answer
+from .prt.compression.request import write as write_request
 from .prt.errors import BakeError, no_room
 from .prt.results import Results, read_results
 
@@ -91,6 +93,22 @@ def run_light(source: jobs.LightSource) -> Any:
                 next(steps)
             except StopIteration as stop:
                 return stop.value.image_sh
+
+
+def compressed(request: Request) -> list[Coded]:
+    """The answer to ``request``; waits for the child, and fails as ``run`` does."""
+    with job_folder() as folder:
+        process = _start(folder)
+        try:
+            write_request(request, folder)
+            _close_pipe(process)
+            for _ in _watch(process, folder):
+                pass
+        finally:
+            _close_pipe(process)
+            process.kill()
+            process.wait()
+        return read_answer(folder)
 
 
 def _start(folder: Path) -> subprocess.Popen[bytes]:

@@ -21,6 +21,7 @@ from . import (
     gltf_frame,
     gltf_panel,
     gltf_textures,
+    gltf_vertices,
     light_state,
     stale,
     stamp,
@@ -30,10 +31,11 @@ from .prt import sh
 from .prt.job import Peak
 from .prt.layout import Layout
 
-TRIANGLES = (None, 4)  # loose edges and points have no corners
 UNMOVED = 1e-5  # of the largest entry of a world matrix
 
 Settings = dict[str, Any]
+
+REPORT: list[dict[str, Any]] = []  # of the last export: what compressing each bake has cost
 
 
 def shown_bakes() -> dict[bpy.types.Object, stamp.Stamp]:
@@ -54,6 +56,10 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         self._lights = {scene.name: light_state.read(scene) for scene in bpy.data.scenes}
         self._stamped = any(stamp.KEY in obj for obj in bpy.data.objects)
         self._short = gltf_panel.wants_short(bpy.context.scene)
+        self._error = gltf_panel.wanted_error(bpy.context.scene)
+        self._vertices: dict[bpy.types.Object, gltf_vertices.Vertices | None] = {}
+        self._codes: dict[bpy.types.Object, tuple[Any, float]] = {}  # and their error
+        REPORT.clear()
         self._artist: Settings = {}
         self._meshes: dict[tuple[int, str, bool], Any] = {}
         self._maps: dict[int, gltf_textures.UvMap] = {}  # by id of the exporter's mesh
@@ -128,13 +134,14 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         frame = gltf_frame.Y_UP if settings["gltf_yup"] else gltf_frame.Z_UP
         nodes = [n for n in settings["vtree"].nodes.values() if n.node and n.node.mesh]
         matrices = self._matrices(nodes, gltf_frame.world_matrices(scene.nodes), frame)
+        light = self._lights.get(blender_scene.name)
+        self._read_vertices(nodes, matrices, light, frame)
         left_out = {n.blender_object for n in nodes if not self._dress(n, matrices, frame)}
         told = settings.get("gltf_draco_mesh_compression") or not settings["gltf_texcoords"]
         if left_out and not told:
             names = ", ".join(sorted(obj.name for obj in left_out))
             _warn(settings, f"Left out the bake of {names}: it is out of date, bake again")
         scene.extras = _without_ours(scene.extras)
-        light = self._lights.get(blender_scene.name)
         if light is not None and matrices:
             scene.extras = {**(scene.extras or {}), "prt_light": _light(light, frame)}
 
@@ -184,7 +191,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         if mark.in_atlas:
             stored = self._in_texture(twin, self._maps.get(id(mesh)), obj, frame)
         else:
-            stored = self._on_vertices(twin, obj, frame)
+            stored = self._on_vertices(twin, obj)
         if stored is None:
             return None
         description = _description(shown, matrix, bool(mark.bounces), stored)
@@ -197,7 +204,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         """What the extras of ``twin`` say of the atlas of ``obj``; None where it is gone, or where
         a primitive cannot read it."""
         image, mark = stamp.image_of(obj), self._bakes[obj]
-        surfaces = [p.attributes for p in twin.primitives if p.mode in TRIANGLES]
+        surfaces = [p.attributes for p in twin.primitives if p.mode in gltf_vertices.TRIANGLES]
         if image is None or 0 in image.size or not image.has_data:
             return None
         if uv_map is None or not all(uv_map.name in attributes for attributes in surfaces):
@@ -210,32 +217,36 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         shown = pictures.shown(_shown(mark.packing, self._shares[obj]), self._shares[obj])
         return shown | {"texture": {"images": pictures.images, "texCoord": uv_map.index}}
 
-    def _on_vertices(self, twin: Any, obj: bpy.types.Object, frame: Any) -> dict[str, Any] | None:
+    def _on_vertices(self, twin: Any, obj: bpy.types.Object) -> dict[str, Any] | None:
         """Give ``twin`` the attributes of ``obj``, turned: what its extras say of them; None where
         they are gone."""
-        packing, share = self._bakes[obj].packing, self._shares[obj]
-        shown = _shown(packing, share)
-        read: dict[int, Any] = {}  # primitives may share attributes
-        for primitive in twin.primitives:
-            values = gltf_attributes.read(primitive.attributes, packing.attributes)
-            if values is not None:
-                values = gltf_frame.turned(values, packing, shown, share, frame)
-                read[id(primitive.attributes)] = values
-            elif primitive.mode in TRIANGLES:
-                return None
-        scale = gltf_attributes.scale_of(read.values()) if self._short else None
-        replaced: dict[int, gltf_attributes.Accessors] = {}
-        for primitive in twin.primitives:
-            key = id(primitive.attributes)
-            if key not in read:
-                primitive.attributes = gltf_attributes.bare(primitive.attributes)
-                continue
-            if key not in replaced:
-                replaced[key] = gltf_attributes.replaced(
-                    primitive.attributes, shown.attributes, read[key], scale
-                )
-            primitive.attributes = replaced[key]
-        return {"layout": list(shown.slots), "scale": 1 if scale is None else scale.tolist()}
+        vertices = self._vertices.get(obj)
+        if vertices is None:
+            return None
+        codes, error = self._codes.get(obj, (None, 0.0))
+        if codes is not None:
+            return gltf_vertices.write_coded(twin.primitives, vertices, codes, error)
+        return gltf_vertices.write(twin.primitives, vertices, self._short or self._error > 0)
+
+    def _read_vertices(
+        self, nodes: list[Any], matrices: Iterable[Any], light: Any, frame: Any
+    ) -> None:
+        """The bakes on vertices of ``nodes``, and their codes where such are wanted."""
+        for node in nodes:
+            obj, primitives = node.blender_object, node.node.mesh.primitives
+            if obj in matrices and not self._bakes[obj].in_atlas:
+                packing, share = self._bakes[obj].packing, self._shares[obj]
+                shown = _shown(packing, share)
+                read = gltf_vertices.read(primitives, packing, shown, share, frame)
+                self._vertices[obj] = read
+        found = {obj: read for obj, read in self._vertices.items() if read is not None}
+        if not self._error:
+            return
+        answers = gltf_vertices.coded(list(found.values()), light, frame, self._error)
+        for obj, (codes, report) in zip(found, answers, strict=True):
+            if codes is not None:
+                self._codes[obj] = codes, report["chosen"]["error"]
+            REPORT.append({"name": obj.name, **report})
 
 
 def _shown(packing: Layout, share: float) -> Layout:

@@ -42,15 +42,9 @@ def read(attributes: Accessors, names: Sequence[str]) -> npt.NDArray[np.float32]
     return np.concatenate([values_of(accessor) for accessor in accessors], axis=1)
 
 
-def replaced(
-    attributes: Accessors,
-    names: Sequence[str],
-    values: npt.NDArray[np.float32],
-    scale: npt.NDArray[np.float64] | None = None,
-) -> Accessors:
-    """``attributes`` with exactly ``names`` of ours, holding ``values`` (E, 4 k): as float32, or as
-    normalized SHORT that stand for multiples of ``scale`` (4 k)."""
-    stored = values if scale is None else quantized(values, scale)
+def replaced(attributes: Accessors, names: Sequence[str], stored: npt.NDArray[Any]) -> Accessors:
+    """``attributes`` with exactly ``names`` of ours, holding what is ``stored`` (E, 4 k), float32
+    or int16, which become normalized SHORT."""
     ours = {
         name: _with_data(attributes[name], stored[:, 4 * k : 4 * k + 4])
         for k, name in enumerate(names)

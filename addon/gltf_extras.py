@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .gltf_attributes import BASIS, BOUNCES, INCLUDES, VERSION
+from .gltf_attributes import BASIS, BOUNCES, INCLUDES, LARGEST, VERSION
 from .gltf_frame import Y_UP, turn_matrix
 from .light_state import LightState
 from .prt import sh
@@ -27,7 +27,8 @@ class FileBake:
     file's floats (F), -1 where unused, ``scale`` (F) what the file's floats are multiplied with,
     ``offset`` (F) what is added then, and ``matrix`` (3, 3) the world matrix when baked, Z up.
     ``bounces`` is whether light of other surfaces is inside.  Of a bake in pictures ``images`` are
-    their numbers, and they are read at TEXCOORD_``tex_coord``."""
+    their numbers, and they are read at TEXCOORD_``tex_coord``; one in ``clusters`` has the file's
+    floats in these."""
 
     layout: Layout
     columns: tuple[int, ...]
@@ -37,11 +38,17 @@ class FileBake:
     offset: Float
     images: tuple[int, ...] = ()
     tex_coord: int = 0
+    clusters: "Clusters | None" = None
 
     @property
     def count(self) -> int:
         """How many attributes the file has."""
-        return 0 if self.images else len(self.scale) // 4
+        floats = len(self.clusters.layout if self.clusters else self.scale)
+        return 0 if self.images else floats // 4
+
+    def decoded(self, attributes: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """The file's floats (E, F), of what its attributes hold (E, 4 k)."""
+        return attributes if self.clusters is None else self.clusters.decoded(attributes)
 
     def arranged(self, stored: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """The file's floats (..., F) in the order of ``layout``, as they are meant."""
@@ -50,6 +57,30 @@ class FileBake:
             if column >= 0:
                 arranged[..., k] = stored[..., column] * self.scale[column] + self.offset[column]
         return arranged
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """Attributes hold, as ``layout`` names it, the cluster K and weights W0, W1, ...; ``book``
+    (K, 1 + N, F) has the mean and the directions of each cluster."""
+
+    layout: tuple[str, ...]
+    book: Float
+
+    def decoded(self, attributes: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """What ``attributes`` (E, 4 k) stand for, (E, F); BakeError where they name a cluster that
+        is not there."""
+        numbers = np.rint(LARGEST * attributes[:, self.layout.index("K")]).astype(int)
+        count = len(self.book)
+        wrong = numbers[(numbers < 0) | (numbers >= count)]
+        _check(
+            not len(wrong), f"a vertex is of cluster {max(wrong, default=0)}, and there are {count}"
+        )
+        values = self.book[numbers, 0]
+        for j in range(self.book.shape[1] - 1):
+            weight = attributes[:, self.layout.index(f"W{j}")]
+            values += weight[:, None] * self.book[numbers, 1 + j]
+        return values.astype(np.float32)
 
 
 def read_bake(prt: Any) -> FileBake:
@@ -66,6 +97,8 @@ def read_bake(prt: Any) -> FileBake:
     _check(includes in known, f'"{includes}" is not what a transfer of version 1 includes')
     slots, texture = prt.get("layout"), prt.get("texture")
     width, words = (4, "four names an attribute") if texture is None else (3, "three a picture")
+    if "clusters" in prt:
+        width, words = 1, "names"
     named = isinstance(slots, Sequence) and bool(slots) and len(slots) % width == 0
     _check(named and not isinstance(slots, str), f"layout is not {words}")
     layout = _layout(prt, slots)
@@ -77,6 +110,8 @@ def read_bake(prt: Any) -> FileBake:
     offset = np.zeros(len(slots)) if texture is None else prt.get("offset")
     offset = _numbers(offset, (len(slots),), f"offset is not {len(slots)} numbers")
     bake = FileBake(layout, columns, scale, turned, includes != INCLUDES, offset)
+    if "clusters" in prt:
+        return replace(bake, clusters=_clusters(prt["clusters"], len(slots)))
     return bake if texture is None else _in_texture(bake, texture)
 
 
@@ -88,6 +123,23 @@ def _in_texture(bake: FileBake, texture: Any) -> FileBake:
     _check(listed and all(map(_is_index, images)), f"texture has not {count} images")
     _check(_is_index(tex_coord), f"texCoord {tex_coord} is no number of a TEXCOORD")
     return replace(bake, images=tuple(images), tex_coord=tex_coord)
+
+
+def _clusters(clusters: Any, floats: int) -> Clusters:
+    """``clusters`` of bakes of so many ``floats``."""
+    _check(isinstance(clusters, Mapping), "clusters say nothing")
+    layout, values = clusters.get("layout"), clusters.get("values")
+    names = layout if isinstance(layout, Sequence) and not isinstance(layout, str) else ()
+    used = [name for name in names if name]
+    expected = {"K", *(f"W{j}" for j in range(len(used) - 1))}
+    whole = len(used) > 1 and len(names) % 4 == 0 and set(used) == expected
+    _check(whole, "the clusters' layout is not K, W0, W1, …")
+    width = len(used) * floats
+    sentence = f"the clusters' values are not {width} numbers each"
+    counted = isinstance(values, Sequence) and bool(values) and len(values) % width == 0
+    _check(counted, sentence)
+    book = _numbers(values, (len(values),), sentence)
+    return Clusters(tuple(names), book.reshape(-1, len(used), floats))
 
 
 def _is_index(value: Any) -> bool:

@@ -98,7 +98,12 @@ class glTF2ImportUserExtension:  # the importer looks for this name
         stored = attributes.take(mesh)
         attributes.remove(mesh)
         columns = [stored[f"{PREFIX}{k}"][1] for k in range(bake.count)]
-        self._values[mesh.name] = bake, bake.arranged(np.concatenate(columns, axis=1))
+        try:
+            floats = bake.decoded(np.concatenate(columns, axis=1))
+        except BakeError as error:
+            _warn(gltf, f"{mesh.name} comes without its bake: {error}")
+            return
+        self._values[mesh.name] = bake, bake.arranged(floats)
 
     def gather_import_scene_after_nodes_hook(
         self, _gltf_scene: Any, blender_scene: bpy.types.Scene, gltf: Any

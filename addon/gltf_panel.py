@@ -15,16 +15,29 @@ def wants_short(scene: bpy.types.Scene) -> bool:
     return chosen is not None and bool(chosen.gltf_short)
 
 
+def wanted_error(scene: bpy.types.Scene) -> float:
+    """The relative error that compressed bakes may have; 0 where they are not to be compressed."""
+    chosen = getattr(scene, "prt", None)
+    return chosen.gltf_error / 100 if chosen is not None and chosen.gltf_compress else 0.0
+
+
 @contextmanager
-def chosen(scene: bpy.types.Scene, short: bool | None) -> Iterator[None]:
-    """Inside, ``short`` is what the artist chose; None leaves it to him."""
-    before = scene.prt.gltf_short
-    if short is not None:
-        scene.prt.gltf_short = short
+def chosen(
+    scene: bpy.types.Scene, short: bool | None, error: float | None = None
+) -> Iterator[None]:
+    """Inside, ``short`` and compression with ``error`` are what the artist chose; None leaves it to
+    him."""
+    names = ("gltf_short", "gltf_compress", "gltf_error")
+    before = [getattr(scene.prt, name) for name in names]
+    wanted = (short, error and True, error and 100 * error)
+    for name, value in zip(names, wanted, strict=True):
+        if value is not None:
+            setattr(scene.prt, name, value)
     try:
         yield
     finally:
-        scene.prt.gltf_short = before
+        for name, value in zip(names, before, strict=True):
+            setattr(scene.prt, name, value)
 
 
 def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
@@ -34,7 +47,14 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     if body is not None:
         body.use_property_split = True
         body.use_property_decorate = False
-        body.prop(context.scene.prt, "gltf_short")
+        settings = context.scene.prt
+        short = body.row()
+        short.active = not settings.gltf_compress
+        short.prop(settings, "gltf_short")
+        body.prop(settings, "gltf_compress")
+        error = body.row()
+        error.active = settings.gltf_compress
+        error.prop(settings, "gltf_error")
 
 
 def register() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import bpy
 
-from . import bake, figures, gltf_export, gltf_panel, outputs, properties, scene, selection
+from . import bake, figures, gltf, gltf_export, gltf_panel, outputs, properties, scene, selection
 from .atlas_files import Target
 from .options import Options
 from .progress_lines import ProgressLines
@@ -155,8 +155,9 @@ def _write(asked: Options, places: dict[Path, Path], names: list[str], report: R
     if asked.save:
         _save(asked.save, places[asked.save])
     if asked.gltf:
-        with gltf_panel.chosen(bpy.context.scene, asked.gltf_short):
+        with gltf_panel.chosen(bpy.context.scene, asked.gltf_short, asked.gltf_error):
             gltf_export.write(str(places[asked.gltf]), names)
+        report["gltf"] = list(gltf.REPORT)
     if asked.report:
         text = json.dumps(report, indent=2, ensure_ascii=False)
         places[asked.report].write_text(f"{text}\n", encoding="utf-8")

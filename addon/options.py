@@ -44,6 +44,7 @@ class Options:
     save: Path | None
     gltf: Path | None
     gltf_short: bool | None
+    gltf_error: float | None
     report: Path | None
     verify: bool
 
@@ -189,6 +190,12 @@ def _add_where(parser: _Parser) -> None:
         action="store_const",
         const=True,
         help="bakes in the .glb as 16-bit numbers: half the size",
+    )
+    add(
+        "--gltf-error",
+        type=_share,
+        metavar="E",
+        help="bakes on vertices in the .glb compressed to this error of the light: 0.01 or 1%%",
     )
     add("--report", type=Path, metavar="OUT.json", help="write the figures of the bake")
     add("--verify", action="store_true", help="trace some points again and print the error")

@@ -123,6 +123,25 @@ class PRT_PG_settings(bpy.types.PropertyGroup):
         default=False,
         options=set(),
     )
+    gltf_compress: bpy.props.BoolProperty(
+        name="Compressed Bakes",
+        description="Write bakes on vertices as clusters of principal components: a fraction of "
+        "the size, within the error below. A bake that this makes no smaller has 16 bits a number",
+        default=False,
+        options=set(),
+    )
+    gltf_error: bpy.props.FloatProperty(
+        name="Error",
+        description="How far the compressed light may be off, relative to all light: the smallest "
+        "that keeps to it is written",
+        default=1.0,
+        min=0.1,
+        max=50.0,
+        soft_max=10.0,
+        precision=1,
+        subtype="PERCENTAGE",
+        options=set(),
+    )
     carrier: bpy.props.EnumProperty(
         name="Bake To",
         description="Where the bake is kept",

@@ -27,6 +27,7 @@ ENGINE = {
     "vertex": {"surface", "tracing"},
     "texture": {"surface", "tracing", "vertex"},
     "bounces": {"surface", "tracing"},
+    "compression": set[str](),
 }
 WHOLE_ENGINE = {"addon/prt", *(f"addon/prt/{part}" for part in ENGINE)}
 PACKAGES = NATIVE | THREADS | {"numpy"}

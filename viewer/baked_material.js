@@ -1,5 +1,6 @@
 // The material of a baked primitive: the artist's, with its diffuse light from the bake.
 import * as THREE from 'three';
+import { fillTable, inClusters, tableOf } from './clusters.js';
 import { exitRadiance, inTexture, onVertices } from './prt_shader.js';
 
 const ALBEDO = 0.8; // of a surface without material, as in Blender
@@ -20,7 +21,7 @@ export function bakedMaterial(plain, bake) {
     for (const name of SHARED) material[name] = plain[name];
   } else if (!whole) material.color.setScalar(ALBEDO);
   const uniforms = uniformsOf(bake);
-  const { vertex, fragment } = (bake.atlas ? inTexture : onVertices)(bake.layout);
+  const { vertex, fragment } = (bake.atlas ? inTexture : bake.clusters ? inClusters : onVertices)(bake.layout);
   if (!whole && plain?.emissive) uniforms.prtEmission.value.copy(plain.emissive).multiplyScalar(plain.emissiveIntensity);
   material.onBeforeCompile = (shader) => {
     Object.assign(shader.uniforms, uniforms);
@@ -28,7 +29,7 @@ export function bakedMaterial(plain, bake) {
       '#include <begin_vertex>', `#include <begin_vertex>\n${vertex[1]}`);
     shader.fragmentShader = fragment[0] + DECLARATIONS + (whole ? overMetal : diffuse)(shader.fragmentShader, fragment[1]);
   };
-  material.customProgramCacheKey = () => `prt ${whole} ${!!bake.atlas} ${bake.layout}`;
+  material.customProgramCacheKey = () => `prt ${whole} ${!!bake.atlas} ${!!bake.clusters} ${bake.layout}`;
   material.userData.prt = uniforms;
   return material;
 }
@@ -49,7 +50,7 @@ function replaced(text, before, after) {
   return text.replace(before, after);
 }
 
-function uniformsOf({ layout, turns, lights, scale, atlas }) {
+function uniformsOf({ layout, turns, lights, scale, atlas, clusters }) {
   const vectors = (count) => Array.from({ length: Math.max(1, count) }, () => new THREE.Vector3());
   const transfer = layout.filter((slot) => /^T\d+r?$/.test(slot)).length;
   return {
@@ -57,6 +58,7 @@ function uniformsOf({ layout, turns, lights, scale, atlas }) {
     prtResidual: { value: vectors(turns) },
     prtLights: { value: vectors(lights) },
     ...(atlas ? { prtAtlas: { value: atlas } } : { prtScale: { value: fours(scale) } }),
+    ...(clusters && { prtClusters: { value: tableOf(clusters, layout) } }),
     prtAlbedo: { value: 1 },
     prtEmission: { value: new THREE.Color(0, 0, 0) },
   };
@@ -64,8 +66,12 @@ function uniformsOf({ layout, turns, lights, scale, atlas }) {
 
 const fours = (values) => Array.from({ length: values.length / 4 }, (_, k) => new THREE.Vector4(...values.slice(4 * k, 4 * k + 4)));
 
-// Show the light of `terms` (prt_light.js).
-export function setLight(uniforms, terms) {
+// Show the light of `terms` (prt_light.js) on a bake.
+export function setLight(uniforms, bake, terms) {
+  if (bake.clusters) {
+    fillTable(uniforms.prtClusters.value, bake.clusters, terms);
+    return;
+  }
   const fill = (vectors, triples) => vectors.forEach((v, i) => v.set(...(triples[i] ?? [0, 0, 0])));
   fill(uniforms.prtTransfer.value, terms.transfer);
   fill(uniforms.prtResidual.value, terms.residual);

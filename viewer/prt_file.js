@@ -10,10 +10,13 @@ function check(holds, sentence) {
   if (!holds) throw new Error(sentence);
 }
 
+const LARGEST = 32767; // of a normalized SHORT, which stands for 1
 const TEXCOORDS = ['uv', 'uv1', 'uv2', 'uv3']; // what three.js calls the first of them
 
 // The bake of one primitive: { layout, turns, lights, matrix, scale }, and of one in pictures
-// { offset, images, uv }, `uv` being the attribute that they are read by. `prt` is mesh.extras.prt,
+// { offset, images, uv }, `uv` being the attribute that they are read by, and of one in clusters
+// { clusters: { slots, rows } }, `layout` being what the attributes hold, `slots` what a row stands for,
+// and `rows` the mean and the directions of each, one after the other. `prt` is mesh.extras.prt,
 // `geometry` three.js' BufferGeometry, which has the names of attributes in lower case, and `images`
 // those of the document.
 export function readBake(prt, geometry, images = []) {
@@ -24,20 +27,20 @@ export function readBake(prt, geometry, images = []) {
   check(prt.basis === BASIS, `basis "${prt.basis}" is not the one of version 1`);
   check(INCLUDES.includes(prt.includes), `"${prt.includes}" is not what a transfer of version 1 includes`);
   check(numbers(prt.matrix, 9), 'matrix is not nine numbers');
-  const turns = prt.turns ?? (prt.layout?.includes?.('R0r') ? 1 : 0);
+  const { layout } = prt, turns = prt.turns ?? (layout?.includes?.('R0r') ? 1 : 0);
   checkLayout(prt, turns);
-  const { layout } = prt;
   const scale = prt.scale === 1 ? layout.map(() => 1) : prt.scale;
   check(numbers(scale, layout.length), `scale is neither 1 nor ${layout.length} numbers`);
   const lights = layout.filter((slot) => slot[0] === 'S').length;
   const bake = { order: prt.order, layout, turns, lights, matrix: prt.matrix, scale };
   if (prt.texture) return { ...bake, offset: prt.offset, ...readTexture(prt, geometry, images) };
+  if (prt.clusters) return { ...bake, ...readClusters(prt, geometry) };
   checkAttributes(layout, geometry);
   return bake;
 }
 
-function checkLayout({ layout, order, channels, texture }, turns) {
-  const [width, words] = texture ? [3, 'three names a picture'] : [4, 'four names an attribute'];
+function checkLayout({ layout, order, channels, texture, clusters }, turns) {
+  const [width, words] = clusters ? [1, 'names'] : texture ? [3, 'three names a picture'] : [4, 'four names an attribute'];
   check(Array.isArray(layout) && layout.length && layout.length % width === 0, `layout is not ${words}`);
   const suffixes = channels === 3 ? ['r', 'g', 'b'] : [''];
   const expected = [...Array(order * order).keys()].flatMap((i) => suffixes.map((c) => `T${i}${c}`));
@@ -47,6 +50,23 @@ function checkLayout({ layout, order, channels, texture }, turns) {
   const unknown = used.find((slot) => !expected.includes(slot) && !/^(S[0-3]|V(1?[0-9]|2[0-4]))$/.test(slot));
   check(unknown === undefined, `layout has ${unknown}, which order, channels and turns leave no place for`);
   check(new Set(used).size === used.length, 'layout has a name twice');
+}
+
+function readClusters({ layout: slots, clusters: { layout, values } }, geometry) {
+  const weights = Array.isArray(layout) ? layout.filter((name) => /^W\d+$/.test(name)).length : 0;
+  const expected = ['K', ...Array.from({ length: weights }, (_, j) => `W${j}`)];
+  check(weights && layout.length % 4 === 0 && layout.filter(Boolean).length === expected.length
+    && expected.every((name) => layout.includes(name)), "the clusters' layout is not K, W0, W1, …");
+  checkAttributes(layout, geometry);
+  const width = (1 + weights) * slots.length, count = values?.length / width;
+  check(Number.isInteger(count) && count > 0 && numbers(values, values.length), `the clusters' values are not ${width} numbers each`);
+  const place = layout.indexOf('K'), attribute = geometry.attributes[`_prt_${place >> 2}`];
+  for (let i = 0; i < attribute.count; ++i) {
+    const number = Math.round(attribute.getComponent(i, place & 3) * LARGEST);
+    check(number >= 0 && number < count, `a vertex is of cluster ${number}, and there are ${count}`);
+  }
+  const rows = Array.from({ length: count * (1 + weights) }, (_, k) => values.slice(k * slots.length, (k + 1) * slots.length));
+  return { layout, scale: layout.map((name) => (name === 'K' ? LARGEST : 1)), clusters: { slots, rows } };
 }
 
 function readTexture({ texture, layout, offset }, geometry, images) {

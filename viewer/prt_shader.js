@@ -5,7 +5,7 @@
 // The sum is linear in what is stored. Where that is at the vertices it is taken in the vertex shader
 // and interpolated: one varying, whatever the order. The clamp and the albedo come after that.
 
-const XYZW = 'xyzw';
+export const XYZW = 'xyzw';
 const FACTORS = { T: 'prtTransfer', R: 'prtResidual', S: 'prtLights' };
 
 // What a bake of `layout` (of mesh.extras.prt) is multiplied by.
@@ -30,7 +30,7 @@ function sum(layout, vectors) {
   return [...vectors.map((vector, k) => `vec4 prt${k} = ${vector};`), 'prtSum = vec3(0.0);', ...lines].join('\n');
 }
 
-const quarters = (layout) => [...Array(Math.ceil(layout.length / 4)).keys()];
+export const quarters = (layout) => [...Array(Math.ceil(layout.length / 4)).keys()];
 
 // A bake in attributes; three.js makes their names lower case. `vertex` and `fragment` are what
 // stands above main() and in it.

@@ -159,7 +159,7 @@ export class Stage {
     const lights = this.options.lights ? this.light.lights.slice(0, bake.lights) : [];
     const found = terms(light, this.light.baked, bake.turns, lights);
     if (!this.options.residual) found.residual = [];
-    setLight(baked.userData.prt, found);
+    setLight(baked.userData.prt, bake, found);
     baked.userData.prt.prtAlbedo.value = this.options.albedo ? 1 : 0;
   }
 
@@ -237,6 +237,7 @@ export class Stage {
       mesh.geometry.dispose();
       plain.dispose();
       baked?.dispose();
+      baked?.userData.prt.prtClusters?.value.dispose();
     }
     for (const texture of this.atlases.values()) texture.dispose();
     this.atlases.clear();

@@ -1,4 +1,4 @@
-"""The engine as a program: ``python -m prt JOB_FOLDER``.
+"""The engine as a program: ``python -m prt JOB_FOLDER``, a job or a request to compress bakes.
 
 Where the job is not there yet, the end of the standard input says that it is.
 Writes ``progress.jsonl`` and, when all is done, ``results``.  Exit codes: 0 done, 2 a BakeError,
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from . import job as jobs
+from .compression import request
 from .errors import BakeError, no_room
 from .results import write_results
 from .run import run
@@ -49,6 +50,9 @@ def _guarded(folder: Path, progress: TextIO) -> int:
 def _run(folder: Path, progress: TextIO) -> None:
     if not jobs.is_written(folder):
         sys.stdin.read()
+    if request.is_written(folder):
+        request.answer(folder)
+        return
     steps = run(jobs.read(folder))
     last, phase = 0.0, ""
     while True:

@@ -1,13 +1,14 @@
 """The command line: what it passes on, what it refuses, what it writes, and its exit codes."""
 
 import contextlib
+import json
 import os
 import signal
 from pathlib import Path
 
 import bpy
 import pytest
-from prt_baker.addon import bake, cli, gltf_export, headless
+from prt_baker.addon import bake, cli, gltf, gltf_export, gltf_panel, headless
 from prt_baker.addon.atlas_files import Target
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.job import Progress
@@ -50,6 +51,24 @@ def test_the_glb_is_short_where_that_is_asked_for(scene, asked, monkeypatch, tmp
         assert cli.command(["--gltf", str(tmp_path / "a.glb"), *options]) == 0
     assert chosen == [False, True]
     assert not scene.prt.gltf_short
+
+
+def test_the_glb_is_compressed_to_the_error_asked_for(scene, asked, monkeypatch, tmp_path):
+    chosen = []
+
+    def write(path, _names):
+        chosen.append((scene.prt.gltf_compress, gltf_panel.wanted_error(scene)))
+        Path(path).write_bytes(b"glTF")
+        gltf.REPORT[:] = [{"name": "Cube", "chosen": None, "tried": []}]
+
+    monkeypatch.setattr(gltf_export, "write", write)
+    report = tmp_path / "report.json"
+    for options in ([], ["--gltf-error", "2%", "--report", str(report)]):
+        assert cli.command(["--gltf", str(tmp_path / "a.glb"), *options]) == 0
+    assert chosen[0] == (False, 0)
+    assert chosen[1] == (True, pytest.approx(0.02))
+    assert not scene.prt.gltf_compress
+    assert json.loads(report.read_text())["gltf"] == gltf.REPORT
 
 
 def refused(capsys, *arguments):

@@ -15,6 +15,7 @@ class Glb:
     """One file: its document, its nodes by name, its arrays."""
 
     def __init__(self, path: Path):
+        self.path = path
         data = path.read_bytes()
         (length,) = struct.unpack_from("<I", data, 12)
         self.document = json.loads(data[20 : 20 + length])
@@ -55,12 +56,32 @@ class Glb:
     def slots(self, name, names):
         """The floats of the node ``name`` in the slots called ``names``, (E, *shape of names)."""
         layout = self.prt(name)["layout"]
+        if "clusters" in self.prt(name):
+            return self._of_clusters(name)[:, np.vectorize(layout.index)(names)]
         rows = [
             np.concatenate([a[f"_PRT_{k}"] for k in range(len(layout) // 4)], axis=1)
             for a in self.attributes(name)
         ]
         values = np.concatenate(rows) * np.asarray(self.prt(name)["scale"], np.float32)
         return values[:, np.vectorize(layout.index)(names)]
+
+    def _of_clusters(self, name):
+        """The floats (E, F) of a bake in clusters."""
+        layout, clusters = self.prt(name)["layout"], self.prt(name)["clusters"]
+        coded = clusters["layout"]
+        rows = np.concatenate(
+            [
+                np.concatenate([a[f"_PRT_{k}"] for k in range(len(coded) // 4)], axis=1)
+                for a in self.attributes(name)
+            ]
+        )
+        number = np.rint(32767 * rows[:, coded.index("K")]).astype(int)
+        weights = [name for name in coded if name[:1] == "W"]
+        book = np.reshape(clusters["values"], (-1, 1 + len(weights), len(layout)))
+        values = book[number, 0]
+        for j in range(len(weights)):
+            values = values + rows[:, [coded.index(f"W{j}")]] * book[number, 1 + j]
+        return values
 
     def atlas(self, name):
         """What the pictures of the node ``name`` hold, (N, N, floats), top row first."""

@@ -10,16 +10,19 @@ from prt_baker.addon.scene import mesh_signature
 
 def bake_by_hand(
     obj, *, order=3, channels=1, turns=0, lights=0, seen=0, domain="POINT", by_modifier=False,
-    smooth=False,
+    smooth=False, bent=False,
 ):  # fmt: skip
     """Random transfer on ``obj``, written as if it had just been baked; residual and visibility
     tell which element they are of by its first coefficient.  ``smooth``: all of it changes slowly
-    over each face, as it does in a bake.  With ``seen``, so many bands of what is seen."""
+    over each face, as it does in a bake, and ``bent`` is no linear function of the place.  With
+    ``seen``, so many bands of what is seen."""
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
     layout = Layout(order, channels, turns, lights, seen)
     with carrier.evaluated_mesh(obj, depsgraph) as mesh:
         places = places_of(mesh, domain)
+    if bent:
+        places = np.concatenate([places, np.sin(3 * places), np.cos(5 * places)], axis=1)
     make = smooth_values if smooth else random_values
     arrays = make(places, layout)
     result = ReceiverResult(
@@ -64,7 +67,7 @@ def smooth_values(places, layout):
     shapes = ((layout.channels, layout.order**2), (layout.turns, 3), (layout.lights,))
     arrays = []
     for shape, size in zip(shapes, (0.06, 0.1, 0.3), strict=True):
-        slopes = rng.normal(0, 0.3 * size, (3, *shape))
+        slopes = rng.normal(0, 0.3 * size, (places.shape[1], *shape))
         arrays.append(rng.normal(size, size, shape) + np.tensordot(places, slopes, 1))
     arrays[0][..., 0] += 0.3  # more light than shadow
     return [array.astype(np.float32) for array in arrays]

@@ -110,6 +110,9 @@ class Noting:
     def panel(self, idname, default_closed):
         return self, self
 
+    def row(self):
+        return self
+
     def label(self, text):
         self.shown.append(text)
 
@@ -121,7 +124,7 @@ class Noting:
 def test_it_is_chosen_in_a_panel_of_the_exporter(registered, scene):
     layout = Noting()
     io_scene_gltf2.export_panel_user_extension(bpy.context, layout)
-    assert layout.shown == ["PRT Baker", "gltf_short"]
+    assert layout.shown == ["PRT Baker", "gltf_short", "gltf_compress", "gltf_error"]
 
 
 def test_no_panel_is_left_behind(registered):

@@ -1,0 +1,1 @@
+"""Bakes in fewer numbers."""
