@@ -1,80 +1,166 @@
-"""What a bake weighs in glTF, and how far 16-bit numbers are off: the table of docs/gltf.md.
+"""What a bake weighs in glTF in each of its forms, and how far these are off: the tables of
+docs/gltf.md.
 
-Prints Markdown.  Few rays suffice: neither the size nor what rounding does depends on them.
+Prints Markdown.  Few rays suffice: neither the size nor what rounding does depends on them; noise
+compresses worse than light, so of clusters it says rather too much.
 """
 
 import argparse
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import prt_baker
 import real_inputs
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "gltf"))
 import demo_scene
 from glb import Glb
+from prt_baker.addon import atlas_images, gltf, gltf_export, gltf_panel, light_state, stamp
+from prt_baker.addon.prt import layout as layouts
+from prt_baker.addon.prt import sh
+from prt_baker.addon.prt.job import Peak
+from prt_baker.addon.prt.light import residual
 
 ROOT = Path(__file__).parents[1]
+bpy = real_inputs.bpy
 
-BAKES = {
+RAYS = ("--rays", "64")
+ON_VERTICES = {
     "order 2": ("--order", "2"),
     "order 3": (),
     "order 3, one peak": ("--peaks", "1"),
     "order 3, 12 turns": ("--turns", "12"),
     "order 5": ("--order", "5"),
 }
+ERRORS = (0.05, 0.02, 0.01, 0.005)  # that clusters are asked for
+IN_TEXTURES = {
+    "order 3": ("--carrier", "texture", "--resolution", "1024"),
+    "order 5": ("--carrier", "texture", "--resolution", "1024", "--order", "5"),
+}
 HEADER = """| scene | bake | vertices | bytes a vertex | MB | in 16 bits, MB \
-| error of 16 bits, RMS | largest |
+| error of 16 bits, RMS | largest | compressed to 1 %, MB | error, RMS | largest |
+|---|---|---|---|---|---|---|---|---|---|---|"""
+CURVE = """| scene | bake | error asked for | MB | bytes a vertex | error, RMS |
+|---|---|---|---|---|---|"""
+TEXTURES = """| scene | bake | texels | pictures | MB | as float32, MB | error, RMS | largest |
 |---|---|---|---|---|---|---|---|"""
 
 
 def main() -> None:
-    """A row for every kind of bake of the demo, and one of a scanned bust."""
+    """The tables of the demo and of a scanned bust."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cache", type=Path, default=ROOT / ".cache" / "bench" / "gltf")
     cache = parser.parse_args().cache
     cache.mkdir(parents=True, exist_ok=True)
     demo_scene.build(demo_scene.bundled_hdri("sunset"), 60.0)
-    real_inputs.bpy.ops.wm.save_as_mainfile(filepath=str(cache / "demo.blend"))
-    print(HEADER)
-    for name, options in BAKES.items():
-        print(row("demo", name, cache / "demo.blend", options), flush=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(cache / "demo.blend"))
     vertices, faces = real_inputs.snowden(cache)
     real_inputs.build(vertices, faces, cache / "snowden.blend")
+    prt_baker.register()
     only = ("--object", "snowden")
-    print(row("snowden", "order 3", cache / "snowden.blend", only), flush=True)
+    rows = [("demo", name, options) for name, options in ON_VERTICES.items()]
+    rows += [("snowden", name, (*ON_VERTICES[name], *only)) for name in ("order 3", "order 5")]
+    curves = []
+    print(HEADER)
+    for scene, name, options in rows:
+        bake(cache / f"{scene}.blend", options)
+        print(f"| {scene} | {name} | {' | '.join(on_vertices(cache))} |", flush=True)
+        if name in {"order 3", "order 5"}:
+            curves += [f"| {scene} | {name} | {line} |" for line in curve(cache)]
+    print(f"\n{CURVE}", *curves, f"\n{TEXTURES}", sep="\n", flush=True)
+    for name, options in IN_TEXTURES.items():
+        for scene, its in (("demo", ()), ("snowden", only)):
+            bake(cache / f"{scene}.blend", (*options, *its))
+            print(f"| {scene} | {name} | {' | '.join(in_texture(cache))} |", flush=True)
+    prt_baker.unregister()
 
 
-def row(scene: str, bake: str, blend: Path, options: tuple[str, ...]) -> str:
-    """One line of the table; errors are relative to the RMS of what leaves a white surface."""
-    exact, short = (exported(blend, (*options, *more)) for more in ((), ("--gltf-short",)))
-    truth, found = (
-        np.concatenate([seen(glb, name) for name in baked(glb)]) for glb in (exact, short)
-    )
-    size = np.sqrt(np.square(truth).mean())
-    rms = np.sqrt(np.square(found - truth).mean()) / size
+def bake(blend: Path, options: tuple[str, ...]) -> None:
+    """Bake ``blend`` and open the result."""
+    program, out = Path(sys.executable).with_name("prt-bake"), blend.with_name("baked.blend")
+    command = [program, blend, *RAYS, *options, "--save", out]
+    subprocess.run(command, check=True, capture_output=True)
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+
+
+def written(cache: Path, short: bool = False, error: float = 0.0) -> Glb:
+    """The .glb of the open file."""
+    path = cache / "baked.glb"
+    with gltf_panel.chosen(bpy.context.scene, short, error or None):
+        gltf_export.write(str(path))
+    return Glb(path)
+
+
+def on_vertices(cache: Path) -> list[str]:
+    """The cells of one bake."""
+    exact, short, small = written(cache), written(cache, short=True), written(cache, error=0.01)
+    truth = light_of(exact)
     widths = {4 * len(exact.prt(name)["layout"]) for name in baked(exact)}
-    cells = (
-        scene,
-        bake,
+    return [
         f"{len(truth):,}",
         " and ".join(str(width) for width in sorted(widths)),
         f"{weight(exact) / 1e6:.2f}",
         f"{weight(short) / 1e6:.2f}",
-        f"{rms:.1e}",
-        f"{np.abs(found - truth).max() / size:.1e}",
-    )
-    return f"| {' | '.join(cells)} |"
+        *errors(light_of(short), truth),
+        f"{weight(small) / 1e6:.2f}",
+        *errors(light_of(small), truth),
+    ]
 
 
-def exported(blend: Path, options: tuple[str, ...]) -> Glb:
-    """The .glb of ``blend``, baked with ``options``."""
-    program, glb = Path(sys.executable).with_name("prt-bake"), blend.with_suffix(".glb")
-    command = [program, blend, "--rays", "64", *options, "--gltf", glb]
-    subprocess.run(command, check=True, capture_output=True)
-    return Glb(glb)
+def curve(cache: Path) -> list[str]:
+    """Cells of bytes against errors."""
+    truth, lines = light_of(written(cache)), []
+    for error in ERRORS:
+        small = written(cache, error=error)
+        size = weight(small)
+        rms, _ = errors(light_of(small), truth)
+        cells = f"{100 * error:g} %", f"{size / 1e6:.2f}", f"{size / len(truth):.1f}", rms
+        lines.append(" | ".join(cells))
+        coded = sum(entry["chosen"] is not None for entry in gltf.REPORT)
+        print(f"  ({coded} of {len(gltf.REPORT)} meshes in clusters)", file=sys.stderr)
+    return lines
+
+
+def in_texture(cache: Path) -> list[str]:
+    """The cells of one bake; errors are over all texels."""
+    glb = written(cache)
+    name = baked(glb)[0]
+    mark = stamp.read(bpy.data.objects[name])
+    image, state = stamp.image_of(bpy.data.objects[name]), light_state.read(bpy.context.scene)
+    stored = atlas_images.columns(image, len(mark.packing.attributes))[::-1]
+    values = layouts.unpack(mark.packing, stored.reshape(-1, stored.shape[2]))
+    truth = residual.shaded(values.transfer, state.baked_radiance_sh) + values.residual[:, 0]
+    slots = glb.prt(name)["layout"]
+    numbers = glb.atlas(name).reshape(len(truth), -1)
+    y_up = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    light = sh.rotate(state.baked_radiance_sh, y_up)[: mark.order**2]
+    found = numbers[:, [slots.index(f"T{i}") for i in range(mark.order**2)]] @ light
+    found += numbers[:, [slots.index(f"R0{c}") for c in "rgb"]]
+    images = glb.document["images"]
+    views = [glb.document["bufferViews"][image["bufferView"]] for image in images]
+    return [
+        f"{len(stored)}²",
+        str(len(images)),
+        f"{sum(view['byteLength'] for view in views) / 1e6:.2f}",
+        f"{4 * len(mark.layout) * len(truth) / 1e6:.2f}",
+        *errors(np.maximum(found, 0), np.maximum(truth, 0)),
+    ]
+
+
+def errors(found: np.ndarray, truth: np.ndarray) -> list[str]:
+    """RMS and the largest, relative to the RMS of what leaves a white surface."""
+    size = np.sqrt(np.square(truth).mean())
+    rms, largest = np.sqrt(np.square(found - truth).mean()), np.abs(found - truth).max()
+    return [f"{rms / size:.1e}", f"{largest / size:.1e}"]
+
+
+def light_of(glb: Glb) -> np.ndarray:
+    """What leaves all vertices, (E, 3)."""
+    return np.concatenate([seen(glb, name) for name in baked(glb)])
 
 
 def baked(glb: Glb) -> list[str]:
@@ -83,7 +169,7 @@ def baked(glb: Glb) -> list[str]:
 
 
 def weight(glb: Glb) -> int:
-    """Bytes of all bakes."""
+    """Bytes of all bakes, clusters as JSON has them."""
     document = glb.document
     accessors = {
         accessor
@@ -93,7 +179,11 @@ def weight(glb: Glb) -> int:
         if name.startswith("_PRT_")
     }
     views = (document["accessors"][a]["bufferView"] for a in accessors)
-    return sum(document["bufferViews"][view]["byteLength"] for view in views)
+    clusters = (
+        mesh.get("extras", {}).get("prt", {}).get("clusters") for mesh in document["meshes"]
+    )
+    texts = sum(len(json.dumps(one, separators=(",", ":"))) for one in clusters if one)
+    return texts + sum(document["bufferViews"][view]["byteLength"] for view in views)
 
 
 def seen(glb: Glb, name: str) -> np.ndarray:
@@ -114,9 +204,6 @@ def seen(glb: Glb, name: str) -> np.ndarray:
 
 def disc(lamp: dict, order: int) -> np.ndarray:
     """Coefficients (n², 3) of a cut-out light."""
-    from prt_baker.addon.prt.job import Peak
-    from prt_baker.addon.prt.light import residual
-
     peak = Peak(tuple(lamp["direction"]), tuple(lamp["irradiance"]), lamp["angular_radius"])
     return residual.peaks_sh((peak,))[: order**2]
 

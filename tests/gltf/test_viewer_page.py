@@ -3,7 +3,8 @@
 import pytest
 from gltf_scenes import monkey
 from gltf_worlds import bundled
-from prt_baker.addon import gltf_export
+from prt_baker.addon import gltf_export, gltf_panel
+from viewer_frames import frame_times
 
 HELPERS = """
     const $ = (selector) => document.querySelector(selector);
@@ -133,3 +134,16 @@ def test_it_says_how_fast_it_draws(page, file):
         return text;
     """
     assert "frames/s" in page.run(HELPERS + body)
+
+
+@pytest.mark.parametrize("error", [None, 0.02], ids=["floats", "clusters"])
+@pytest.mark.usefixtures("registered")
+def test_a_frame_takes_no_longer_than_with_a_standard_material(scene, bake, out, page, error):
+    obj = monkey()
+    obj.modifiers.new("Subdivision", "SUBSURF").levels = 3
+    bake(obj, turns=1, by_modifier=True, smooth=True, bent=True)
+    with gltf_panel.chosen(scene, None, error):
+        gltf_export.write(str(out))
+    baked, standard = frame_times(page, out, 5)
+    print(f"{baked:.0f} ms, standard material {standard:.0f} ms")
+    assert baked <= standard
