@@ -41,7 +41,7 @@ ONE_BLAS_THREAD = dict.fromkeys(
     ),
     "1",
 )
-POLL_SECONDS = 0.02
+POLL_SECONDS = 0.05
 FULL = (None, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # numpy gives a short write no number
 
 
