@@ -143,3 +143,9 @@ def test_morton_order_keeps_neighbours_together():
     shuffled = grid[np.random.default_rng(0).permutation(len(grid))]
     steps = np.diff(shuffled[points.morton_order(shuffled)], axis=0)
     assert np.abs(steps).sum(axis=1).mean() < 3
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_one_place_alone_has_an_order(kind):
+    assert points.morton_order(np.array([[1, 2, 3]], kind)).tolist() == [0]
+    assert points.morton_order(np.array([[1, 2, 3]] * 3, kind)).tolist() == [0, 1, 2]

@@ -245,10 +245,11 @@ def morton_order(positions: npt.NDArray[np.floating[Any]]) -> Index:
     axis_bits = min(MORTON_BITS, (64 - place_bits) // 3)
     spread = _spread(np.arange(1 << axis_bits, dtype=np.uint64))
     low = positions.min(axis=0)
-    extent = max(float((positions.max(axis=0) - low).max()), 1e-300)
+    extent = float((positions.max(axis=0) - low).max())
+    steps = ((1 << axis_bits) - 1) / extent if extent > 0 else 0.0
     code = np.zeros(count, np.uint64)
     for axis in range(3):
-        cells = (positions[:, axis] - low[axis]) * (((1 << axis_bits) - 1) / extent)
+        cells = (positions[:, axis] - low[axis]) * steps
         code |= spread[cells.astype(np.int32)] << np.uint64(axis)
     code = code << np.uint64(place_bits) | np.arange(count, dtype=np.uint64)
     code.sort()
