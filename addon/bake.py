@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 
 from . import (
+    albedo_state,
     attributes,
     carrier,
     engine,
@@ -94,6 +95,8 @@ def bake(
                 with world_file.made(hdri) as its_world:
                     _write(scene_name, results, stamps, state, images)
                 bpy.data.scenes[scene_name].world = its_world
+    owner, job_hash = bpy.data.scenes[scene_name], results.report["job_hash"]
+    albedo_state.keep(owner, job_hash, occluders.reflecting)
     notes += map(figures.another_light, _take_as_baked(scene_name, state, object_names))
     return {**results.report, "notes": notes}
 

@@ -3,6 +3,7 @@
 import bpy
 
 from . import (
+    albedo_state,
     atlas_images,
     attributes,
     carrier,
@@ -30,6 +31,7 @@ def remove(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> int:
     nodes.free_unused()
     atlas_images.free_unused()
     default_surface.free_unused()
+    albedo_state.forget(scene)
     if not stamp.baked_objects(scene):
         light_state.remove(scene)
     return len(baked)

@@ -73,7 +73,7 @@ class Albedos:
     def _read(self, color: Color, mesh: bpy.types.Mesh, triangles: Array) -> Array:
         """``color`` at corners ``triangles`` (F, 3): (F, 3, 3), or one that stands for all."""
         if color.kind == "attribute":
-            return _attribute(mesh, color.layer)[triangles]
+            return colors_at_corners(mesh, color.layer)[triangles]
         if color.kind == "image":
             return self._picture(color, mesh, triangles)
         return np.float32(color.value)[None, None]
@@ -124,7 +124,7 @@ def _material_of_triangles(mesh: bpy.types.Mesh, triangles: Array, count: int) -
     return of_polygons[polygons].clip(0, count - 1)
 
 
-def _attribute(mesh: bpy.types.Mesh, name: str) -> Array:
+def colors_at_corners(mesh: bpy.types.Mesh, name: str) -> Array:
     """A colour attribute (C, 3) at every corner; black where there is none."""
     name = name or mesh.color_attributes.default_color_name
     found = mesh.attributes.get(name)

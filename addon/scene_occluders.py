@@ -1,11 +1,12 @@
 """All that stands in the light's way, as arrays: one part for each object or instance."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
 
+from . import albedo_state
 from . import scene_meshes as meshes
 from .prt.job import Array
 from .scene_albedo import Albedos, Read
@@ -17,8 +18,8 @@ class Occluders:
     """World space: ``vertices`` (V, 3) float64 and ``triangles`` (F, 3) int32; part k, which is an
     object or an instance, is the triangles from ``starts[k]`` to ``starts[k + 1]``, (O + 1,) int64.
     ``repairs``: how many triangles were left out, by reason.  ``albedo`` (F, 3, 3) float32 at the
-    corners of the triangles, no rows where it was not asked for, and ``emitters``, the names of
-    objects that shine by themselves."""
+    corners of the triangles, no rows where it was not asked for, ``emitters``, the names of objects
+    that shine by themselves, and ``reflecting``, what names the colours of each object."""
 
     vertices: Array
     triangles: Array
@@ -26,6 +27,7 @@ class Occluders:
     repairs: dict[str, int]
     albedo: Array
     emitters: tuple[str, ...] = ()
+    reflecting: albedo_state.Digests = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,9 @@ def read(depsgraph: bpy.types.Depsgraph, with_albedo: bool = False) -> Occluders
     starts = np.cumsum([len(part) for part in triangles], dtype=np.int64)
     whole = np.concatenate(vertices), np.concatenate(triangles)
     emitters = tuple(albedos.emitters) if albedos else ()
-    return Occluders(*whole, starts, dict(repairs), _albedo(shown, depsgraph), emitters)
+    reflecting = albedo_state.of({mesh.obj for mesh, _ in shown} if with_albedo else ())
+    found = _albedo(shown, depsgraph)
+    return Occluders(*whole, starts, dict(repairs), found, emitters, reflecting)
 
 
 def _key(obj: bpy.types.Object, with_albedo: bool) -> tuple[int, ...]:

@@ -2,18 +2,20 @@
 
 An object is compared with the stamp of its bake: its place in the world and its own mesh, not its
 modifiers, shape keys or pose; and its image with the bake that it says it is of, for a file may be
-gone, or be another bake's, after an undo or where two .blend files write to one.
+gone, or be another bake's, after an undo or where two .blend files write to one.  Where light
+bounced, the colours that it bounced off are compared too.
 """
 
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from . import atlas_files, atlas_images
+from . import albedo_state, atlas_files, atlas_images
 from . import scene as scene_arrays
 from . import stamp as stamps
 from .stamp import Stamp
 
+COLOURS = ("MATERIAL", "NODETREE", "IMAGE", "MESH")  # what may be another colour
 TOLERANCE = 1e-5  # of the matrix, and of a metre; parents and constraints jitter by float32
 
 
@@ -23,6 +25,8 @@ def reason(obj: bpy.types.Object, stamp: Stamp) -> str | None:
         return f"{obj.name} has been moved, turned or scaled since its bake: bake it again"
     if not same_image(obj, stamp):
         return f"The image of {obj.name} is gone or another bake's: bake it again"
+    if other := _recoloured(obj, stamp):
+        return f"{other} has other colours than those that bounced off it: bake again"
     if not obj.get(stamps.SWITCH):
         return f"The mesh of {obj.name} has been edited since its bake: bake it again"
     return None
@@ -34,12 +38,24 @@ def refresh(scene: bpy.types.Scene) -> None:
         _refresh(obj)
 
 
-def _refresh(obj: bpy.types.Object) -> None:
+def _refresh(obj: bpy.types.Object, recoloured: dict[str, str | None] | None = None) -> None:
+    """``recoloured``: what is known already of the colours that each job's bake took in."""
     stamp = stamps.read(obj)
     if stamp is None or obj.data.is_editmode:
         return
     fits = not _moved(obj, stamp) and same_image(obj, stamp) and _same_mesh(obj, stamp)
-    stamps.switch(obj, on=fits)
+    others = recoloured if recoloured is not None else {}
+    if fits and stamp.job_hash not in others:
+        others[stamp.job_hash] = _recoloured(obj, stamp)
+    stamps.switch(obj, on=fits and others[stamp.job_hash] is None)
+
+
+def _recoloured(obj: bpy.types.Object, stamp: Stamp) -> str | None:
+    """An object whose colours are others than when light bounced off it to ``obj``."""
+    if not stamp.bounces:
+        return None
+    found = (albedo_state.recoloured(scene, stamp.job_hash) for scene in obj.users_scene)
+    return next((name for name in found if name), None)
 
 
 def _moved(obj: bpy.types.Object, stamp: Stamp) -> bool:
@@ -71,7 +87,9 @@ def _same_mesh(obj: bpy.types.Object, stamp: Stamp) -> bool:
 
 
 @persistent
-def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+def _on_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    if albedo_state.KEY in scene and _may_be_recoloured(depsgraph):
+        _refresh_bounced(scene)
     if not depsgraph.id_type_updated("OBJECT"):
         return
     for update in depsgraph.updates:
@@ -80,6 +98,25 @@ def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         obj = update.id.original
         if isinstance(obj, bpy.types.Object) and stamps.KEY in obj:
             _refresh(obj)
+
+
+def _may_be_recoloured(depsgraph: bpy.types.Depsgraph) -> bool:
+    """Not where things only moved."""
+    if any(map(depsgraph.id_type_updated, COLOURS)):
+        return True
+    return any(u.is_updated_geometry or u.is_updated_shading for u in depsgraph.updates)
+
+
+def _refresh_bounced(scene: bpy.types.Scene) -> None:
+    """Look at the colours that light bounced off, once for all that was baked together."""
+    recoloured: dict[str, str | None] = {}
+    for obj in stamps.baked_objects(scene):
+        stamp = stamps.read(obj)
+        if stamp is not None and stamp.bounces:
+            if stamp.job_hash not in recoloured:
+                recoloured[stamp.job_hash] = _recoloured(obj, stamp)
+            if bool(obj.get(stamps.SWITCH)) == bool(recoloured[stamp.job_hash]):
+                _refresh(obj, recoloured)
 
 
 @persistent

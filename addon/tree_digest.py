@@ -1,6 +1,7 @@
 """Names what a material's nodes are, so that what was made of them can be kept."""
 
 import hashlib
+from collections.abc import Iterable
 from typing import Any
 
 import bpy
@@ -22,18 +23,25 @@ def of(material: bpy.types.Material | None) -> bytes:
     return digest.digest()
 
 
+def of_nodes(nodes: Iterable[bpy.types.Node]) -> bytes:
+    """A hash of all that decides what ``nodes`` do together, but the pixels of their pictures: it
+    takes no time, so it can be asked for at every change."""
+    digest = hashlib.blake2b(digest_size=20)
+    for node in sorted(nodes, key=lambda node: (node.id_data.name, node.name)):
+        _add_node(digest, node, with_pixels=False)
+        for socket in node.inputs:
+            ends = [(link.from_node.name, link.from_socket.identifier) for link in socket.links]
+            _add(digest, "links", ends)
+    return digest.digest()
+
+
 def _add(digest: "hashlib.blake2b", name: str, value: Any) -> None:
     digest.update(f"{name}={value!r};".encode())
 
 
 def _add_tree(digest: "hashlib.blake2b", tree: bpy.types.NodeTree) -> None:
     for node in tree.nodes:
-        _add(digest, node.name, node.bl_idname)
-        _add_properties(digest, node)
-        for socket in (*node.inputs, *node.outputs):
-            value = getattr(socket, "default_value", None)
-            plain = value is None or isinstance(value, PLAIN)
-            _add(digest, socket.identifier, value if plain else tuple(value))
+        _add_node(digest, node, with_pixels=True)
         if getattr(node, "node_tree", None):
             _add_tree(digest, node.node_tree)
     for link in tree.links:
@@ -41,7 +49,17 @@ def _add_tree(digest: "hashlib.blake2b", tree: bpy.types.NodeTree) -> None:
         _add(digest, "link", [getattr(e, "identifier", e.name) for e in ends] + [link.is_muted])
 
 
-def _add_properties(digest: "hashlib.blake2b", node: bpy.types.Node) -> None:
+def _add_node(digest: "hashlib.blake2b", node: bpy.types.Node, *, with_pixels: bool) -> None:
+    """``node`` and the values of its sockets."""
+    _add(digest, node.name, node.bl_idname)
+    _add_properties(digest, node, with_pixels=with_pixels)
+    for socket in (*node.inputs, *node.outputs):
+        value = getattr(socket, "default_value", None)
+        plain = value is None or isinstance(value, PLAIN)
+        _add(digest, socket.identifier, value if plain else tuple(value))
+
+
+def _add_properties(digest: "hashlib.blake2b", node: bpy.types.Node, *, with_pixels: bool) -> None:
     """What is set in the node itself: choices, ramps, curves and pictures."""
     for prop in node.bl_rna.properties:
         if prop.identifier in NOT_LOOK:
@@ -56,7 +74,10 @@ def _add_properties(digest: "hashlib.blake2b", node: bpy.types.Node) -> None:
             curves = [[tuple(p.location) for p in curve.points] for curve in value.curves]
             _add(digest, prop.identifier, curves)
         elif isinstance(value, bpy.types.Image):
-            _add_image(digest, value)
+            if with_pixels:
+                _add_image(digest, value)
+            else:
+                _add(digest, value.name, (value.filepath, value.colorspace_settings.name))
 
 
 def _add_image(digest: "hashlib.blake2b", image: bpy.types.Image) -> None:

@@ -9,11 +9,14 @@ from bakes import add, link, output_of, principled, quad, shader
 from prt_baker.addon import (
     albedo_bake,
     albedo_plan,
+    albedo_state,
     bake,
     gltf,
     gltf_extras,
     properties,
+    remove,
     scene_occluders,
+    stale,
     stamp,
 )
 from prt_baker.addon.prt.errors import BakeError
@@ -220,9 +223,97 @@ def test_verify_follows_the_light_too(scene, corner):
     assert stamp.read(corner[0]).measured_error < 0.04
 
 
+@pytest.fixture
+def bounced(scene, corner):
+    """The corner, baked together with one bounce; a function tells which of it is shown."""
+    settings = replace(properties.settings(scene), bounces=1, rays=16)
+    finish(bake.bake(scene.name, [obj.name for obj in corner], settings))
+
+    def shown():
+        bpy.context.view_layer.update()
+        switches = [bool(obj[stamp.SWITCH]) for obj in corner]
+        reasons = [stale.reason(obj, stamp.read(obj)) for obj in corner]
+        assert [reason is None for reason in reasons] == switches
+        return all(switches), reasons[0]
+
+    assert shown() == (True, None)
+    return shown
+
+
+def test_a_recoloured_neighbour_makes_a_bounced_bake_stale_until_it_is_back(corner, bounced):
+    colour = shader(corner[1].data.materials[0]).inputs["Base Color"]
+    before = tuple(colour.default_value)
+    colour.default_value = (0.1, 0.2, 0.9, 1)
+    reason = f"{corner[1].name} has other colours than those that bounced off it: bake again"
+    assert bounced() == (False, reason)
+    colour.default_value = before
+    assert bounced() == (True, None)
+
+
+@pytest.mark.parametrize("owner", ["OBJECT", "DATA"])
+def test_another_material_is_another_colour(corner, bounced, owner):
+    slot = corner[1].material_slots[0]
+    before = slot.material
+    slot.link = owner
+    slot.material = principled(Base_Color=(0.1, 0.9, 0.2, 1))
+    assert not bounced()[0]
+    slot.material = before
+    assert bounced()[0]
+
+
+def test_what_bounces_no_light_makes_no_bake_stale(scene, corner, bounced, monkeypatch):
+    """Roughness, names, other objects' colours, and what only moves, which takes no look."""
+    its = shader(corner[1].data.materials[0])
+    its.inputs["Roughness"].default_value = 0.1
+    its.location = 5, 5
+    new = quad(scene, x=9, material=principled(Base_Color=(1, 0, 0, 1)))
+    assert bounced()[0]
+    looks = []
+    monkeypatch.setattr(albedo_state, "recoloured", lambda *a: looks.append(a))
+    new.location.x = 12
+    bpy.context.view_layer.update()
+    assert looks == []
+
+
+def test_painted_corners_make_a_bounced_bake_stale(scene, corner):
+    material = corner[1].data.materials[0]
+    layer = corner[1].data.color_attributes.new("Paint", "FLOAT_COLOR", "CORNER")
+    node = add(material, "VertexColor")
+    node.layer_name = "Paint"
+    link(material, node.outputs["Color"], shader(material).inputs["Base Color"])
+    settings = replace(properties.settings(scene), bounces=1, rays=16)
+    finish(bake.bake(scene.name, [obj.name for obj in corner], settings))
+    bpy.context.view_layer.update()
+    assert corner[0][stamp.SWITCH]
+    layer = corner[1].data.color_attributes["Paint"]
+    layer.data.foreach_set("color", np.tile(np.float32([1, 0, 0, 1]), len(layer.data)))
+    corner[1].data.update()
+    bpy.context.view_layer.update()
+    assert not corner[0][stamp.SWITCH]
+
+
+def test_nodes_that_only_cycles_can_read_are_compared_too(scene, corner):
+    material = corner[1].data.materials[0]
+    noise = add(material, "TexNoise")
+    link(material, noise.outputs["Color"], shader(material).inputs["Base Color"])
+    assert albedo_plan.read(material).colors is None
+    before = albedo_state.of([corner[1]])
+    noise.inputs["Scale"].default_value = 9
+    assert albedo_state.of([corner[1]]) != before
+
+
+def test_what_bounced_is_forgotten_with_the_last_bake(scene, corner, bounced):
+    assert albedo_state.KEY in scene
+    remove.remove(scene, [corner[0]])
+    assert albedo_state.KEY in scene
+    remove.remove(scene, corner)
+    assert albedo_state.KEY not in scene
+
+
 @pytest.mark.parametrize("bounces", [False, True])
 def test_gltf_says_whether_bounces_are_inside(bounces):
     packing = Layout(3, 3 if bounces else 1)
-    written = gltf._description(packing, np.eye(3), None, bounces)
+    stored = {"layout": list(packing.slots), "scale": 1}
+    written = gltf._description(packing, np.eye(3), bounces, stored)
     assert written["includes"] == "visibility, cosine / pi" + ", bounces" * bounces
     assert gltf_extras.read_bake(written).bounces is bounces
