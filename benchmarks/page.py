@@ -57,9 +57,9 @@ REAL = """The demo under several of Blender's HDRIs and a scanned bust of 109,00
 (npm `snowden`), baked from the command line with the default settings and `--verify`. The errors
 are relative RMS: of the transfer at the baked points and at random points of the surface, traced
 again with 16,384 rays, and of the whole picture in EEVEE against Cycles (diffuse, no bounces, 64
-samples, its noise included). The error on the surface is pooled over the scene, and single points
-weigh much in it: nearly all of the demo's comes from the rims of Suzanne's eyes, where light falls
-into a crevice narrower than a triangle. *Whole command* starts Blender, reads the scene, bakes,
+samples, its noise included). Values on the surface are fitted to those points and err less than
+they do where the mesh is fine enough. *Mrays/s* are over the whole of the transfer's time, which
+the fit and the exact light take part of. *Whole command* starts Blender, reads the scene, bakes,
 verifies and writes everything.
 """
 
