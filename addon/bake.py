@@ -20,6 +20,7 @@ from . import (
     figures,
     light_state,
     live_light,
+    reflections,
     scene,
     scene_occluders,
     stamp,
@@ -68,7 +69,14 @@ def bake(
         channels = channels_of(occluders.albedo)
         least, most = _possible(bpy.data.scenes[scene_name], settings, hdri, channels)
         carriers = [receiver.carrier for receiver in receivers]
-        writeback.check(bpy.data.scenes[scene_name], objects, most, least, carriers)
+        writeback.check(
+            bpy.data.scenes[scene_name],
+            objects,
+            most,
+            least,
+            carriers,
+            reflections=settings.reflections,
+        )
         largest = _largest_image(settings, most) if target.carrier != "vertex" else 0
         notes = writeback.notes(bpy.data.scenes[scene_name], objects, largest)
         notes += map(figures.does_not_light, occluders.emitters)
@@ -77,7 +85,14 @@ def bake(
             for obj, receiver in zip(objects, receivers, strict=True)
         ]
         yield jobs.Progress("scene", 0.0)
-        settings = replace(settings, residual=most.turns > 0, peaks=most.lights)
+        settings = replace(
+            settings,
+            residual=most.turns > 0,
+            peaks=most.lights,
+            reflections=writeback.reflects(
+                bpy.data.scenes[scene_name], objects, wanted=settings.reflections
+            ),
+        )
         if settings.bounces and settings.peaks and not settings.residual:
             raise BakeError(
                 "Peaks that bounce need Exact at This World: switch that on, or choose no peaks"
@@ -88,12 +103,16 @@ def bake(
         results = yield from engine.run(job, folder)
         is_cubemap = results.report["light"]["projection"] == "cubemap"
         state = _light_state(light, results, follows=light.follows and not is_cubemap)
-        with textures.images(results, target) as images:
+        with (
+            textures.images(results, target) as images,
+            reflections.loaded(results.reflections) as reflected,
+        ):
+            shown = images, reflected
             if hdri is None or is_cubemap:
-                _write(scene_name, results, stamps, state, images)
+                _write(scene_name, results, stamps, state, shown)
             else:
                 with world_file.made(hdri) as its_world:
-                    _write(scene_name, results, stamps, state, images)
+                    _write(scene_name, results, stamps, state, shown)
                 bpy.data.scenes[scene_name].world = its_world
     owner, job_hash = bpy.data.scenes[scene_name], results.report["job_hash"]
     albedo_state.keep(owner, job_hash, occluders.reflecting)
@@ -137,7 +156,10 @@ def update_light(scene_name: str) -> Steps:
         yield jobs.Progress("light", 0.0)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         light = world.read(bpy.data.scenes[scene_name], depsgraph, folder)
-        results = yield from engine.run(jobs.Job("light", light=light.source), folder)
+        wanted = jobs.Settings(reflections=reflections.current() is not None)
+        results = yield from engine.run(jobs.Job("light", wanted, light.source), folder)
+        with reflections.loaded(results.reflections) as reflected:
+            writeback.reflect(reflected)
     state = _light_state(light, results, light.follows)
     before = light_state.read(bpy.data.scenes[scene_name])
     if before is not None:
@@ -272,9 +294,10 @@ def _write(
     results: Results,
     stamps: list[stamp.Stamp],
     state: light_state.LightState,
-    images: Sequence[bpy.types.Image],
+    shown: tuple[Sequence[bpy.types.Image], bpy.types.Image | None],
 ) -> None:
-    """Put every result on its object, all or none; ``images`` are the atlases."""
+    """Put every result on its object, all or none; ``shown`` are the atlases, and what is
+    reflected."""
     objects = _objects([result.name for result in results.receivers])
     layout = layouts.covering(results.receivers)
     marks = [
@@ -284,7 +307,7 @@ def _write(
         )
     ]
     baked = list(zip(objects, results.receivers, marks, strict=True))
-    writeback.write(bpy.data.scenes[scene_name], baked, layout, images)
+    writeback.write(bpy.data.scenes[scene_name], baked, layout, *shown)
 
 
 def _figures(
@@ -346,9 +369,10 @@ def _plain_error(
 def _light_state(light: WorldLight, results: Results, follows: bool) -> light_state.LightState:
     """The light of ``results``, as if everything were baked under it."""
     image_sh = results.image_sh
-    radiance = world_sh(image_sh, light.source.strength, light.source.rotation)
+    rotation, strength = light.source.rotation, light.source.strength
+    radiance = world_sh(image_sh, strength, rotation)
     return light_state.LightState(
-        light.image_key, image_sh, radiance, radiance, follows, results.peaks
+        light.image_key, image_sh, radiance, radiance, follows, results.peaks, rotation, strength
     )
 
 

@@ -84,15 +84,18 @@ def run(job: jobs.Job, folder: Path) -> Generator[jobs.Progress, None, Results]:
     return read_results(folder)
 
 
-def run_light(source: jobs.LightSource) -> Any:
-    """The coefficients (25, 3) of ``source``'s image, unrotated; waits for the child."""
-    with job_folder() as folder:
-        steps = run(jobs.Job(kind="light", light=source), folder)
-        while True:
-            try:
-                next(steps)
-            except StopIteration as stop:
-                return stop.value.image_sh
+def run_light(
+    source: jobs.LightSource, folder: Path, settings: jobs.Settings | None = None
+) -> Results:
+    """What the engine makes of ``source`` in an existing, empty ``folder``: the coefficients of its
+    image, unrotated, and reflections where the ``settings`` want them; waits for the child."""
+    steps = run(jobs.Job("light", settings or jobs.Settings(), source), folder)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            results: Results = stop.value
+            return results
 
 
 def compressed(request: Request) -> list[Coded]:

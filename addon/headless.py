@@ -29,6 +29,7 @@ SETTINGS = (
     "peaks",
     "final_light",
     "bounces",
+    "reflections",
     "visibility_order",
     "seed",
     "threads",

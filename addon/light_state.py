@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 import numpy.typing as npt
 
-from .prt.job import Peak
+from .prt.job import IDENTITY, Peak, Vector
 from .prt.layout import Layout
 from .prt.light import residual
 from .prt.light.residual import Terms
@@ -28,7 +28,9 @@ class LightState:
     its content; ``radiance_sh`` (25, 3): the world's light as it is now, world frame, Z up;
     ``baked_radiance_sh`` (25, 3): the same when it was baked; ``follows`` is False where the world
     is a node tree that had to be rendered, so that only *Update Light* can follow it; ``peaks``
-    are the suns and lamps cut out of the baked light, which has them still."""
+    are the suns and lamps cut out of the baked light, which has them still.  ``rotation`` takes
+    world directions to the image's, and ``strength`` is what it is multiplied by, as they are now:
+    reflections, which read the image itself, need them."""
 
     image_key: str
     image_sh: Coefficients
@@ -36,6 +38,13 @@ class LightState:
     baked_radiance_sh: Coefficients
     follows: bool = True
     peaks: tuple[Peak, ...] = ()
+    rotation: tuple[Vector, Vector, Vector] = IDENTITY
+    strength: Vector = (1.0, 1.0, 1.0)
+
+    @property
+    def shadow_share(self) -> float:
+        """How much of the shadows of the peaks is still where it was baked, 0 to 1."""
+        return residual.likeness(self.radiance_sh, self.baked_radiance_sh)
 
 
 def read(scene: bpy.types.Scene) -> LightState | None:
@@ -46,7 +55,9 @@ def read(scene: bpy.types.Scene) -> LightState | None:
     values: dict[str, Any] = json.loads(text)
     for name in ("image_sh", "radiance_sh", "baked_radiance_sh"):
         values[name] = np.array(values[name])
-    values["peaks"] = tuple(_peak(peak) for peak in values.get("peaks", ()))
+    values["peaks"] = tuple(map(Peak.of, values.get("peaks", ())))
+    values["rotation"] = tuple(map(tuple, values.get("rotation", IDENTITY)))
+    values["strength"] = tuple(values.get("strength", (1.0, 1.0, 1.0)))
     return LightState(**values)
 
 
@@ -107,8 +118,3 @@ def _same_peaks(first: tuple[Peak, ...], second: tuple[Peak, ...], ratio: float)
         and np.isclose(a.angular_radius, b.angular_radius, atol=SAME)
         for a, b in zip(first, second, strict=True)
     )
-
-
-def _peak(values: dict[str, Any]) -> Peak:
-    direction, irradiance = tuple(values["direction"]), tuple(values["irradiance"])
-    return Peak(direction, irradiance, values["angular_radius"])

@@ -10,9 +10,10 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from . import engine, light_state, world, writeback
+from . import cache_folder, engine, light_state, reflections, world, writeback
 from .light_state import Coefficients, LightState
 from .prt.errors import BakeError
+from .prt.job import Settings
 from .prt.light.projection import world_sh
 from .world import SimpleWorld
 
@@ -64,19 +65,40 @@ def _follow(scene: bpy.types.Scene, simple: SimpleWorld | None) -> tuple[bool, s
     except BakeError as error:
         return False, str(error)
     radiance = world_sh(image_sh, simple.strength, simple.rotation)
-    if simple.image_key == state.image_key and np.array_equal(radiance, state.radiance_sh):
+    now = replace(
+        state,
+        image_key=simple.image_key,
+        image_sh=image_sh,
+        radiance_sh=radiance,
+        rotation=simple.rotation,
+        strength=simple.strength,
+    )
+    if _same(now, state):
         return False, ""
-    now = replace(state, image_key=simple.image_key, image_sh=image_sh, radiance_sh=radiance)
     show(scene, now)
     return True, ""
 
 
+def _same(now: LightState, before: LightState) -> bool:
+    """Whether nothing has to be written."""
+    kept = (now.image_key, now.rotation, now.strength)
+    return kept == (before.image_key, before.rotation, before.strength) and np.array_equal(
+        now.radiance_sh, before.radiance_sh
+    )
+
+
 def _image_sh(simple: SimpleWorld, state: LightState) -> Coefficients:
-    """The image's coefficients: the kept ones, or by the engine where it is another image."""
+    """The image's coefficients: the kept ones, or by the engine where it is another image; then
+    what shiny materials reflect is made anew, too."""
     if simple.image_key == state.image_key:
         return state.image_sh
-    with engine.job_folder() as folder:
-        image_sh: Coefficients = engine.run_light(world.source(simple, folder))
+    with engine.job_folder() as work, engine.job_folder() as folder:
+        wanted = reflections.current() is not None
+        settings = Settings(reflections=wanted, cache=cache_folder.path() if wanted else "")
+        results = engine.run_light(world.source(simple, folder), work, settings)
+        with reflections.loaded(results.reflections) as reflected:
+            writeback.reflect(reflected)
+    image_sh: Coefficients = results.image_sh
     return image_sh
 
 

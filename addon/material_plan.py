@@ -8,8 +8,12 @@ from dataclasses import dataclass, replace
 
 import bpy
 
+from .reflection_nodes import FED
+
 TAG = "prt"  # custom property of our nodes in a material: SHADING or SURFACE
 SHADING = "shading"  # shows the bake
+BAKED = ("prt", "glossy")  # the kinds of parts that show a bake
+SHINES = ("Metallic", "Specular IOR Level")  # where both are 0, nothing is reflected
 SURFACE = "surface"  # stands in for the artist's, where there were no nodes
 
 
@@ -25,7 +29,8 @@ class Feed:
 
 @dataclass(frozen=True)
 class Part:
-    """A shader: ``kind`` is "own", "mix", "add", "prt", "emission" or "transparent"; ``source``
+    """A shader: ``kind`` is "own", "mix", "add", "prt", "glossy" (that reflects), "emission" or
+    "transparent"; ``source``
     names the artist's node that it stands for; ``feeds`` and ``parts`` go to its inputs."""
 
     kind: str
@@ -44,9 +49,9 @@ class Plan:
     others: tuple[tuple[str, Feed], ...]
 
 
-def read(tree: bpy.types.NodeTree, preferred: str = "") -> Plan:
+def read(tree: bpy.types.NodeTree, preferred: str = "", *, reflects: bool = False) -> Plan:
     """The plan for a material's ``tree``; ``preferred`` names the output that was active before
-    ours was."""
+    ours was.  Without ``reflects`` only diffuse light is baked."""
     output = artist_output(tree, preferred)
     if output is None:
         return Plan(None, None, ())
@@ -56,7 +61,7 @@ def read(tree: bpy.types.NodeTree, preferred: str = "") -> Plan:
         for socket in output.inputs
         if socket.identifier != "Surface" and _link(socket)
     )
-    return Plan(_own(surface), _part(surface, frozenset()), others)
+    return Plan(_own(surface), _part(surface, frozenset(), reflects), others)
 
 
 def artist_output(tree: bpy.types.NodeTree, preferred: str = "") -> bpy.types.Node | None:
@@ -103,7 +108,12 @@ def without_values(part: Part | None) -> Part | None:
 
 def shows_bake(part: Part | None) -> bool:
     """Whether any closure of the material can show a bake."""
-    return part is not None and (part.kind == "prt" or any(map(shows_bake, part.parts)))
+    return part is not None and (part.kind in BAKED or any(map(shows_bake, part.parts)))
+
+
+def reflects(part: Part | None) -> bool:
+    """Whether any closure of the material reflects."""
+    return part is not None and (part.kind == "glossy" or any(map(reflects, part.parts)))
 
 
 def _link(socket: bpy.types.NodeSocket) -> bpy.types.NodeLink | None:
@@ -125,35 +135,40 @@ def _own(socket: bpy.types.NodeSocket | None) -> Part | None:
     return Part("own", socket.node.name, (Feed(socket.node.name, socket.identifier),))
 
 
-def _part(socket: bpy.types.NodeSocket | None, above: frozenset[str]) -> Part | None:
+def _part(
+    socket: bpy.types.NodeSocket | None, above: frozenset[str], reflects: bool
+) -> Part | None:
     """The baked version of a shader; ``above`` holds the nodes on the way here, against cycles."""
     if socket is None or socket.node.name in above:
         return _own(socket)
     node, above = socket.node, above | {socket.node.name}
     if node.type in ("MIX_SHADER", "ADD_SHADER"):
         shaders = [s for s in node.inputs if s.type == "SHADER"]
-        parts = tuple(_part(shader_origin(s), above) for s in shaders)
+        parts = tuple(_part(shader_origin(s), above, reflects) for s in shaders)
         feeds = (_feed(node.inputs[0]),) if node.type == "MIX_SHADER" else ()
         return Part("mix" if feeds else "add", node.name, feeds, parts)
     if node.type == "BSDF_DIFFUSE":
         return Part("prt", node.name, (_feed(node.inputs["Color"]),))
     if node.type == "BSDF_PRINCIPLED":
-        return _principled(node, _own(socket))
+        return _principled(node, _own(socket), reflects)
     return _own(socket)
 
 
-def _principled(node: bpy.types.Node, own: Part | None) -> Part:
-    """Its diffuse light from the bake, with its emission and alpha; as much of it as is metal or
-    transmits stays the artist's."""
+def _principled(node: bpy.types.Node, own: Part | None, reflects: bool) -> Part:
+    """Its diffuse light from the bake, with its emission and alpha, and where it ``reflects`` its
+    reflections; as much of it as transmits, or else is metal, stays the artist's."""
     name, inputs = node.name, node.inputs
     shown = Part("prt", name, (_feed(inputs["Base Color"]),))
+    glossy = reflects and not all(_constant(inputs[one], 0) for one in SHINES)
+    if glossy:
+        shown = Part("glossy", name, tuple(_feed(inputs[one]) for one in FED))
     if not _constant(inputs["Emission Strength"], 0):
         feeds = _feed(inputs["Emission Color"]), _feed(inputs["Emission Strength"])
         shown = Part("add", name, (), (shown, Part("emission", name, feeds)))
     if not _constant(inputs["Alpha"], 1):
         shown = Part("mix", name, (_feed(inputs["Alpha"]),), (Part("transparent", name), shown))
     for kept in ("Metallic", "Transmission Weight"):
-        if not _constant(inputs[kept], 0):
+        if not _constant(inputs[kept], 0) and not (glossy and kept == "Metallic"):
             shown = Part("mix", name, (_feed(inputs[kept]),), (shown, own))
     return shown
 

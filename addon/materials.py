@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 import bpy
 
-from . import default_surface, material_plan, shading_tree
+from . import default_surface, material_plan, reflections, shading_tree
 from .material_plan import SHADING, SURFACE, TAG, Plan
 from .prt.layout import Layout
 
@@ -24,22 +24,26 @@ def of(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[bpy.types.
 
 
 def attach(
-    material: bpy.types.Material, layout: Layout, image: bpy.types.Image | None = None
+    material: bpy.types.Material,
+    layout: Layout,
+    image: bpy.types.Image | None = None,
+    reflected: bpy.types.Image | None = None,
 ) -> None:
-    """Let ``material`` show bakes of ``layout`` in EEVEE, on vertices or in ``image``; the artist's
-    nodes stay as they are."""
+    """Let ``material`` show bakes of ``layout`` in EEVEE, on vertices or in ``image``, and reflect
+    ``reflected`` where it is shiny; the artist's nodes stay as they are."""
     detach(material)
     state = {
         "layout": asdict(layout),
         "active": "",
         "had_nodes": default_surface.has_nodes(material),
+        "reflects": reflected is not None,
     }
     if not state["had_nodes"]:
         default_surface.give(material)
     tree = material.node_tree
-    plan = material_plan.read(tree)
+    plan = material_plan.read(tree, reflects=reflected is not None)
     theirs = material_plan.artist_output(tree)
-    ours = shading_tree.build(tree, plan, layout, image)
+    ours = shading_tree.build(tree, plan, layout, image, reflected)
     if theirs is not None and theirs.target == "EEVEE":
         state["active"] = _active_output(tree)
         ours.is_active_output = True
@@ -78,6 +82,23 @@ def image_of(material: bpy.types.Material) -> bpy.types.Image | None:
     return material.get(ATLAS)
 
 
+def reflection_of(material: bpy.types.Material) -> bpy.types.Image | None:
+    """The light that ``material`` reflects where it is shiny; None where it shows no bake, or one
+    without reflections."""
+    return reflections.current() if _state(material).get("reflects") else None
+
+
+def reflects(material: bpy.types.Material) -> bool:
+    """Whether ``material`` is shiny, so that a bake could have reflections."""
+    if not default_surface.has_nodes(material):
+        return True  # EEVEE shows a Principled BSDF
+    return material_plan.reflects(
+        material_plan.read(
+            material.node_tree, _state(material).get("active", ""), reflects=True
+        ).surface
+    )
+
+
 def attached() -> list[bpy.types.Material]:
     """The materials of the file that show bakes."""
     return [m for m in bpy.data.materials if STATE in m and m.library is None]
@@ -90,11 +111,12 @@ def refresh(material: bpy.types.Material, depsgraph: bpy.types.Depsgraph) -> boo
     if not state or tree is None:
         return False
     evaluated = material.evaluated_get(depsgraph)  # in a render only this one is animated
-    plan = material_plan.read(evaluated.node_tree, state["active"])
+    reflected = reflection_of(material)
+    plan = material_plan.read(evaluated.node_tree, state["active"], reflects=reflected is not None)
     whole = shading_tree.is_whole(tree, plan)
     if whole and state["structure"] == _structure(plan):
         return shading_tree.sync(tree, plan)
-    attach(material, Layout.of(state["layout"]), image_of(material))
+    attach(material, Layout.of(state["layout"]), image_of(material), reflected)
     return True
 
 

@@ -1,36 +1,43 @@
 """The node group *PRT Shading*: what is baked times the light that it holds.
 
-One group for each layout and atlas in use, and one light for all of them.  Input: Base Color.
-Outputs: Shader, an emission, and Exit Radiance, its colour (W sr⁻¹ m⁻², base colour included, never
-negative).  The light's numbers are the values of nodes: ``L i`` its coefficients, ``R k`` the
-weights of the residuals, ``S j`` the lights cut out and ``P i`` what they take from the transfer.
-The object's ``prt_exact`` says how much of all but the ``L i`` it shows.
+One group for each layout and atlas in use, and one light for all of them; materials that reflect
+have one with more inputs (``reflection_nodes``).  Input: Base Color.  Outputs: Shader, an emission,
+and Exit Radiance, its colour (W sr⁻¹ m⁻², base colour included, never negative).  The light's
+numbers are the values of nodes: ``L i`` its coefficients, ``R k`` the weights of the residuals,
+``S j`` the lights cut out and ``P i`` what they take from the transfer.  The object's ``prt_exact``
+says how much of all but the ``L i`` it shows.
 """
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 
 import bpy
 import numpy as np
 
-from . import light_state, node_values, stamp
+from . import light_state, node_values, reflection_nodes, stamp
 from .light_state import LightState
 from .prt.layout import Layout
 
 NAME = "PRT Shading"
 TAG = "prt_layout"
 ATLAS = "prt_image"  # the image that a group reads, where it reads one
+REFLECTED = reflection_nodes.IMAGE
 Socket = bpy.types.NodeSocket
 Named = list[tuple[str, Socket]]
 
 
-def group(layout: Layout, image: bpy.types.Image | None = None) -> bpy.types.NodeTree:
-    """The group that shades bakes of ``layout`` on vertices, or in ``image``, made where there is
-    none yet."""
-    alike = (tree for tree in groups() if tree.get(ATLAS) == image)
+def group(
+    layout: Layout,
+    image: bpy.types.Image | None = None,
+    reflected: bpy.types.Image | None = None,
+) -> bpy.types.NodeTree:
+    """The group that shades bakes of ``layout`` on vertices, or in ``image``, and reflects the
+    light ``reflected``; made where there is none yet."""
+    look = image, reflected, reflected is not None
+    alike = (t for t in groups() if (t.get(ATLAS), t.get(REFLECTED), REFLECTED in t) == look)
     found = next((tree for tree in alike if layout_of(tree) == layout), None)
-    return found or _build(layout, image)
+    return found or _build(layout, image, reflected)
 
 
 def groups() -> list[bpy.types.NodeTree]:
@@ -49,6 +56,21 @@ def set_light(light: LightState) -> bool:
     return any(changed)
 
 
+def reflect(reflected: bpy.types.Image) -> None:
+    """Let every group that reflects do so with another image, under the light that it has."""
+    for tree in groups():
+        if REFLECTED not in tree or tree.get(REFLECTED) == reflected:
+            continue
+        named = [node for node in tree.nodes if node.label]
+        kept = [(node.name, reflection_nodes.held(node)) for node in named]
+        tree[REFLECTED] = reflected
+        tree.nodes.clear()
+        _fill(tree, layout_of(tree), tree.get(ATLAS), reflected)
+        for name, value in kept:
+            if name in tree.nodes:
+                tree.nodes[name].inputs[1].default_value = value
+
+
 def free_unused() -> None:
     """Delete the groups that no material has; the first that is left has the plain name."""
     for tree in [tree for tree in groups() if not tree.users]:
@@ -59,10 +81,13 @@ def free_unused() -> None:
 
 def _light(tree: bpy.types.NodeTree, light: LightState) -> bool:
     changed = False
-    for name, value in _values(layout_of(tree), light):
+    named = [*_values(layout_of(tree), light)]
+    if tree.get(REFLECTED) is not None:
+        named += reflection_nodes.values(light, tree)
+    for name, value in named:
         socket = tree.nodes[name].inputs[1]
         if not np.array_equal(socket.default_value, value):
-            socket.default_value = value
+            socket.default_value = value if value.ndim else float(value)
             changed = True
     return changed
 
@@ -81,21 +106,58 @@ def _values(layout: Layout, light: LightState) -> Iterator[tuple[str, np.ndarray
             yield f"{letter}{i}", value
 
 
-def _build(layout: Layout, image: bpy.types.Image | None) -> bpy.types.NodeTree:
+def _build(
+    layout: Layout, image: bpy.types.Image | None, reflected: bpy.types.Image | None
+) -> bpy.types.NodeTree:
     name = f"{NAME} ({layout})" if NAME in bpy.data.node_groups else NAME
     tree = bpy.data.node_groups.new(name, "ShaderNodeTree")
     tree[TAG] = json.dumps(asdict(layout))
     if image is not None:
         tree[ATLAS] = image
     _interface(tree)
-    _shade(tree, _exit_radiance(tree, layout, image), layout.order**2)
+    if reflected is not None:
+        tree[REFLECTED] = reflected
+        reflection_nodes.interface(tree)
+    _fill(tree, layout, image, reflected)
     return tree
 
 
-def _exit_radiance(
-    tree: bpy.types.NodeTree, layout: Layout, image: bpy.types.Image | None
-) -> Socket:
-    """Of a white surface, not clamped yet."""
+def _fill(
+    tree: bpy.types.NodeTree,
+    layout: Layout,
+    image: bpy.types.Image | None,
+    reflected: bpy.types.Image | None,
+) -> None:
+    """All nodes of a group."""
+    stored = _stored(tree, layout, image)
+    white = _clamped(tree, stored.total, layout.order**2)
+    inside = _node(tree, "NodeGroupInput", 180 * layout.order**2, 200)
+    if reflected is None:
+        albedo = _node(tree, "ShaderNodeVectorMath", 180 * layout.order**2 + 180, 0)
+        albedo.operation = "MULTIPLY"
+        tree.links.new(white, albedo.inputs[0])
+        tree.links.new(inside.outputs["Base Color"], albedo.inputs[1])
+        shown = albedo.outputs[0]
+    else:
+        inputs = {socket.name: socket for socket in inside.outputs}
+        light = reflection_nodes.Reflected(reflected, stored.shadows, stored.share, stored.seen)
+        shown = reflection_nodes.exit_radiance(tree, inputs, white, light)
+    _show(tree, shown, layout.order**2)
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """What comes of the floats of a bake: ``total``, the exit radiance of a white surface, not
+    clamped yet; ``shadows``, the visibilities of the lights cut out, and what ``share`` of these
+    belongs to the light, None without; and ``seen``, the visibility's coefficients."""
+
+    total: Socket
+    shadows: list[Socket]
+    share: Socket | None
+    seen: list[Socket]
+
+
+def _stored(tree: bpy.types.NodeTree, layout: Layout, image: bpy.types.Image | None) -> _Stored:
     floats = iter(node_values.floats(tree, layout, image))
     width, rows = (1 if layout.channels == 1 else 3), iter(range(100))
 
@@ -108,6 +170,7 @@ def _exit_radiance(
     transfer = stored("T", layout.order**2, width)
     residuals, visibilities = stored("R", layout.turns, 3), stored("S", layout.lights, 1)
     total = _weighted_sum(tree, [(f"L{name[1:]}", socket) for name, socket in transfer], 0)
+    share = None
     if residuals or visibilities:
         exact = _node(tree, "ShaderNodeAttribute", -300, 400)
         exact.attribute_type, exact.attribute_name = "OBJECT", stamp.EXACT
@@ -117,8 +180,9 @@ def _exit_radiance(
     if visibilities:
         taken = [(f"P{name[1:]}", socket) for name, socket in transfer]
         lamps = _weighted_sum(tree, visibilities + taken, 2)
-        total = _plus(tree, lamps, _whether(tree, share), total)
-    return total
+        share = _whether(tree, share)
+        total = _plus(tree, lamps, share, total)
+    return _Stored(total, [socket for _, socket in visibilities], share, list(floats))
 
 
 def _interface(tree: bpy.types.NodeTree) -> None:
@@ -176,22 +240,21 @@ def _multiply_add(tree: bpy.types.NodeTree, x: float, y: float) -> bpy.types.Nod
     return node
 
 
-def _shade(tree: bpy.types.NodeTree, total: bpy.types.NodeSocket, column: int) -> None:
-    """Clamped at 0, times the base colour, as an emission."""
-    x = 180 * column
-    clamp = _node(tree, "ShaderNodeVectorMath", x, 0)
+def _clamped(tree: bpy.types.NodeTree, total: Socket, column: int) -> Socket:
+    """Never below 0."""
+    clamp = _node(tree, "ShaderNodeVectorMath", 180 * column, 0)
     clamp.operation = "MAXIMUM"
-    albedo = _node(tree, "ShaderNodeVectorMath", x + 180, 0)
-    albedo.operation = "MULTIPLY"
-    emission = _node(tree, "ShaderNodeEmission", x + 360, 0)
-    inside = _node(tree, "NodeGroupInput", x, 200)
-    outside = _node(tree, "NodeGroupOutput", x + 540, 0)
     tree.links.new(total, clamp.inputs[0])
-    tree.links.new(clamp.outputs[0], albedo.inputs[0])
-    tree.links.new(inside.outputs["Base Color"], albedo.inputs[1])
-    tree.links.new(albedo.outputs[0], emission.inputs["Color"])
+    return clamp.outputs[0]
+
+
+def _show(tree: bpy.types.NodeTree, shown: Socket, column: int) -> None:
+    """As an emission."""
+    emission = _node(tree, "ShaderNodeEmission", 180 * column + 360, 0)
+    outside = _node(tree, "NodeGroupOutput", 180 * column + 540, 0)
+    tree.links.new(shown, emission.inputs["Color"])
     tree.links.new(emission.outputs[0], outside.inputs["Shader"])
-    tree.links.new(albedo.outputs[0], outside.inputs["Exit Radiance"])
+    tree.links.new(shown, outside.inputs["Exit Radiance"])
 
 
 def _node(tree: bpy.types.NodeTree, kind: str, x: float, y: float) -> bpy.types.Node:

@@ -36,6 +36,7 @@ class Options:
     peaks: int | None
     final_light: bool | None
     bounces: int | None
+    reflections: bool | None
     visibility_order: int | None
     cache: bool
     seed: int | None
@@ -125,6 +126,13 @@ def _add_how(parser: _Parser) -> None:
     effort.add_argument("--rays", type=_whole(16, 65536), metavar="N", help="rays a point")
     effort.add_argument(
         "--tolerance", type=_share, metavar="E", help="as many as leave this noise: 0.01 or 1%%"
+    )
+    add(
+        "--no-reflections",
+        action="store_const",
+        const=False,
+        dest="reflections",
+        help="no reflections of the world in shiny materials",
     )
     _add_exact(parser)
     add("--seed", type=_whole(0, 2**31 - 1), metavar="N", help="same seed, same result")

@@ -106,6 +106,14 @@ class PRT_PG_settings(bpy.types.PropertyGroup):
         default="0",
         options=set(),
     )
+    reflections: bpy.props.BoolProperty(
+        name="Reflections",
+        description="Shiny and metallic Principled materials reflect the world, turned and "
+        "swapped as you like; off, they keep EEVEE's own look where they are metal, and shine not "
+        "at all where they are not",
+        default=True,
+        options=set(),
+    )
     rays: bpy.props.IntProperty(
         name="Rays",
         description="Rays traced from every point: three times as many halve the noise",
@@ -250,6 +258,7 @@ def settings(scene: bpy.types.Scene, verify: bool = False) -> Settings:
         shared_atlas=chosen.shared_atlas,
         padding_mip=chosen.padding_mip,
         half=chosen.half,
+        reflections=chosen.reflections,
         bounces=ALL if chosen.all_bounces else chosen.bounces,
         visibility_order=int(chosen.visibility_order),
         cache=cache_folder.path(),

@@ -12,6 +12,7 @@ from . import (
     light_state,
     materials,
     nodes,
+    reflections,
     stamp,
 )
 
@@ -30,6 +31,7 @@ def remove(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> int:
     carrier.free_unused()
     nodes.free_unused()
     atlas_images.free_unused()
+    reflections.free_unused()
     default_surface.free_unused()
     albedo_state.forget(scene)
     if not stamp.baked_objects(scene):

@@ -5,13 +5,14 @@
 They lie in one frame below the artist's nodes, which they only link to.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import bpy
 
 from . import nodes
-from .material_plan import SHADING, TAG, Feed, Part, Plan
+from .material_plan import BAKED, SHADING, TAG, Feed, Part, Plan
 from .prt.layout import Layout
+from .reflection_nodes import FED
 from .stamp import SWITCH
 
 FRAME = "PRT Bake"
@@ -19,21 +20,30 @@ KINDS = {
     "mix": ("ShaderNodeMixShader", (0,), (1, 2)),
     "add": ("ShaderNodeAddShader", (), (0, 1)),
     "prt": ("ShaderNodeGroup", (0,), ()),
+    "glossy": ("ShaderNodeGroup", range(len(FED)), ()),
     "emission": ("ShaderNodeEmission", (0, 1), ()),
     "transparent": ("ShaderNodeBsdfTransparent", (), ()),
 }  # node type, inputs of its feeds, inputs of its parts
 
 
 def build(
-    tree: bpy.types.NodeTree, plan: Plan, layout: Layout, image: bpy.types.Image | None = None
+    tree: bpy.types.NodeTree,
+    plan: Plan,
+    layout: Layout,
+    image: bpy.types.Image | None = None,
+    reflected: bpy.types.Image | None = None,
 ) -> bpy.types.Node:
-    """Add our nodes for ``plan``, which show bakes of ``layout``, on vertices or in ``image``;
-    returns the output, which is not active yet."""
+    """Add our nodes for ``plan``, which show bakes of ``layout``, on vertices or in ``image``, and
+    reflect the light ``reflected``; returns the output, which is not active yet."""
     frame = tree.nodes.new("NodeFrame")
     frame.name = frame.label = FRAME
     frame.location = _free_corner(tree)
     switch = Part("mix", "", (Feed(),), (plan.own, plan.surface))
-    made = _nodes(tree, frame, switch, nodes.group(layout, image))
+
+    def group(kind: str) -> bpy.types.NodeTree:
+        return nodes.group(layout, image, reflected if kind == "glossy" else None)
+
+    made = _nodes(tree, frame, switch, group)
     baked = _add(tree, frame, "ShaderNodeAttribute", -220, 220)
     baked.attribute_type, baked.attribute_name = "OBJECT", SWITCH
     tree.links.new(baked.outputs["Fac"], made[switch].inputs[0])
@@ -74,9 +84,13 @@ def is_whole(tree: bpy.types.NodeTree, plan: Plan) -> bool:
 
 
 def _nodes(
-    tree: bpy.types.NodeTree, frame: bpy.types.Node, switch: Part, group: bpy.types.NodeTree
+    tree: bpy.types.NodeTree,
+    frame: bpy.types.Node,
+    switch: Part,
+    group: Callable[[str], bpy.types.NodeTree],
 ) -> dict[Part, bpy.types.Node]:
-    """A node for each part, linked; equal parts share one.  ``group`` shows the bake."""
+    """A node for each part, linked; equal parts share one.  ``group`` gives what shows the bake in
+    a part of a kind."""
     made: dict[Part, bpy.types.Node] = {}
     for place, part in enumerate((*_parts(switch.parts[1]), switch)):
         kind, feeds, parts = KINDS[part.kind]
@@ -85,8 +99,8 @@ def _nodes(
             node.location = 0, 0
         else:
             node.name = _name(place)
-        if part.kind == "prt":
-            node.node_tree = group
+        if part.kind in BAKED:
+            node.node_tree = group(part.kind)
         for index, feed in zip(feeds, part.feeds, strict=True):
             _apply(tree, node.inputs[index], feed)
         for index, below in zip(parts, part.parts, strict=True):

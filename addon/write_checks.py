@@ -4,7 +4,16 @@ from collections.abc import Iterable, Sequence
 
 import bpy
 
-from . import carrier, material_attributes, material_samplers, materials, sharing, stamp, uv_maps
+from . import (
+    carrier,
+    default_slots,
+    material_attributes,
+    material_samplers,
+    materials,
+    sharing,
+    stamp,
+    uv_maps,
+)
 from .prt import layout as layouts
 from .prt.errors import BakeError
 from .prt.layout import Layout
@@ -18,11 +27,14 @@ def check(
     layout: Layout,
     least: Layout | None = None,
     carriers: Sequence[str] = (),
+    *,
+    reflections: bool = False,
 ) -> None:
     """Refuse, before anything is baked, what could not be written or shown afterwards.
 
     ``layout`` is the most that will be stored, ``least`` the least, where that is not yet known.
     ``carriers``, one an object, are "vertex", "texture" or "auto"; by default all are vertices.
+    With ``reflections`` shiny materials read a texture more.
     """
     carriers = carriers or ["vertex"] * len(objects)
     if any(one != "texture" for one in carriers):
@@ -37,14 +49,30 @@ def check(
                 )
             if its_carrier != "texture":
                 layouts.check(layout, len(material_attributes.of(material)), material.name)
+            shiny = reflections and materials.reflects(material)
             if its_carrier != "vertex":
                 _check_texture(material)
+            _check_samplers(material, (its_carrier != "vertex") + shiny)
         if its_carrier != "vertex" and not uv_maps.can_take(obj.data):
             raise BakeError(
                 f"{obj.name!r} has {uv_maps.MOST} UV maps already, and the bake needs one: "
                 "delete one that is not used"
             )
     _check_shared(objects, (least or layout, layout), carriers, depsgraph)
+
+
+def reflects(scene: bpy.types.Scene, objects: list[bpy.types.Object], *, wanted: bool) -> bool:
+    """Whether a bake of ``objects`` has to prepare reflections: for shiny materials of theirs,
+    where they are ``wanted``, or because other bakes, which the new light falls on too, have some.
+    """
+    depsgraph = carrier.depsgraph_of(scene)
+    theirs = materials_of(objects, depsgraph)
+    if wanted and (
+        any(map(default_slots.has_empty, objects)) or any(map(materials.reflects, theirs))
+    ):
+        return True
+    others = set(materials.attached()) - set(theirs)
+    return any(materials.reflection_of(material) is not None for material in others)
 
 
 def notes(
@@ -87,11 +115,16 @@ def _check_texture(material: bpy.types.Material) -> None:
             f"Material {material.name!r} reads {len(reads) - 1} attributes, and EEVEE at most "
             f"{layouts.MAX_ATTRIBUTES}, one of them the bake's UV map: let it read fewer"
         )
+
+
+def _check_samplers(material: bpy.types.Material, ours: int) -> None:
+    """Refuse where ``ours`` textures don't fit beside those of ``material``."""
     textures = len(material_samplers.of(material))
-    if textures >= material_samplers.MOST:
+    if ours and textures + ours > material_samplers.MOST:
+        words = "one of them the bake's" if ours == 1 else f"{ours} of them the bake's"
         raise BakeError(
             f"Material {material.name!r} reads {textures} textures, and EEVEE at most "
-            f"{material_samplers.MOST}, one of them the bake's: let it read fewer"
+            f"{material_samplers.MOST}, {words}: let it read fewer"
         )
 
 

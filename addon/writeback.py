@@ -15,6 +15,7 @@ from . import (
     default_surface,
     materials,
     nodes,
+    reflections,
     stamp,
     write_checks,
 )
@@ -27,13 +28,20 @@ from .stamp import Stamp
 Baked = tuple[bpy.types.Object, ReceiverResult, Stamp]
 Images = Sequence[bpy.types.Image]
 set_light = nodes.set_light
-check, notes = write_checks.check, write_checks.notes
+check, notes, reflects = write_checks.check, write_checks.notes, write_checks.reflects
 
 
-def write(scene: bpy.types.Scene, baked: list[Baked], layout: Layout, images: Images = ()) -> None:
+def write(
+    scene: bpy.types.Scene,
+    baked: list[Baked],
+    layout: Layout,
+    images: Images = (),
+    reflected: bpy.types.Image | None = None,
+) -> None:
     """Give every object its values, stamp and materials; on any error all stays as it was.
 
-    ``images`` are the atlases, in the order of their numbers.
+    ``images`` are the atlases, in the order of their numbers; ``reflected`` is what shiny materials
+    reflect from now on, those of other bakes too, or None.
     """
     objects = [obj for obj, _, _ in baked]
     check(scene, objects, layout, carriers=[mark.carrier for _, _, mark in baked])
@@ -48,9 +56,13 @@ def write(scene: bpy.types.Scene, baked: list[Baked], layout: Layout, images: Im
             for one in prepared
             for material in write_checks.materials_of([one.obj], depsgraph)
         }
+        if reflected is not None:
+            _reflect(undo, reflected)
         for material, image in shown.items():
-            _attach(undo, material, layout, image)
+            _attach(undo, material, (layout, image, reflected))
         undo.pop_all()
+    if reflected is not None:
+        reflections.replace(reflected)
     _free_unused()
 
 
@@ -128,24 +140,41 @@ def _marks(obj: bpy.types.Object) -> dict[str, Any]:
     return {key: obj[key] for key in stamp.MARKS if key in obj}
 
 
+def reflect(reflected: bpy.types.Image | None) -> None:
+    """Let every shiny material reflect another image; None leaves all as it is."""
+    if reflected is not None:
+        nodes.reflect(reflected)
+        reflections.replace(reflected)
+        reflections.free_unused()
+
+
+def _reflect(undo: ExitStack, reflected: bpy.types.Image) -> None:
+    before = reflections.current()
+    if before not in (None, reflected):
+        undo.callback(nodes.reflect, before)
+    nodes.reflect(reflected)
+
+
 def _attach(
     undo: ExitStack,
     material: bpy.types.Material,
-    layout: Layout,
-    image: bpy.types.Image | None,
+    look: tuple[Layout, bpy.types.Image | None, bpy.types.Image | None],
 ) -> None:
+    """Show ``look``: a layout, its atlas, and what is reflected."""
     before = materials.layout_of(material)
     if before is None:
         undo.callback(materials.detach, material)
     else:
-        undo.callback(materials.attach, material, before, materials.image_of(material))
-    materials.attach(material, layout, image)
+        now = materials.image_of(material), materials.reflection_of(material)
+        undo.callback(materials.attach, material, before, *now)
+    materials.attach(material, *look)
 
 
 def _free_unused() -> None:
     carrier.free_unused()
     nodes.free_unused()
     atlas_images.free_unused()
+    reflections.free_unused()
     default_surface.free_unused()
 
 

@@ -6,6 +6,7 @@ from ..addon.prt.layout import MAX_ATTRIBUTES, Layout
 from ..addon.prt.tiles import tile_grid
 from .panel import SidebarPanel
 
+REFLECTIONS = "a texture of 30 MB, 3 s a new HDRI"
 BYTES = 16  # four floats
 MIPS = 4 / 3  # a texture and its halvings
 
@@ -28,6 +29,9 @@ class PRT_PT_settings(SidebarPanel, bpy.types.Panel):
         bounces.active = not chosen.all_bounces
         bounces.prop(chosen, "bounces")
         layout.prop(chosen, "all_bounces")
+        layout.prop(chosen, "reflections")
+        if chosen.reflections:
+            hint(layout, REFLECTIONS)
         layout.prop(chosen, "quality")
         layout.prop(chosen, "rays" if chosen.quality == "RAYS" else "tolerance")
         layout.prop(chosen, "seed")

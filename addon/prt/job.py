@@ -17,7 +17,7 @@ of its own (``results.py``).
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from math import ceil, log2
 from pathlib import Path
@@ -203,6 +203,12 @@ class Peak:
     direction: Vector
     irradiance: Vector
     angular_radius: float
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> "Peak":
+        """The peak whose fields are ``values``, as files keep them."""
+        direction, irradiance = tuple(values["direction"]), tuple(values["irradiance"])
+        return cls(direction, irradiance, values["angular_radius"])
 
 
 SETTINGS = "settings.json"

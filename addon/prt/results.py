@@ -152,7 +152,7 @@ def read_results(folder: Path) -> Results:
     )
     light = done / "light.npy"
     image_sh = np.load(light) if light.exists() else None
-    peaks = tuple(_peak(peak) for peak in values["peaks"])
+    peaks = tuple(map(Peak.of, values["peaks"]))
     atlases = tuple(
         Atlas(size, tuple(names), margin, half, path=done / f"atlas_{i}.exr")
         for i, (size, names, margin, half) in enumerate(values["atlases"])
@@ -174,14 +174,9 @@ def _read_reflections(values: dict[str, Any] | None, folder: Path) -> Reflection
         return None
     return Reflections(
         Sheet.of(values["sheet"]),
-        tuple(_peak(peak) for peak in values["peaks"]),
+        tuple(map(Peak.of, values["peaks"])),
         path=folder / REFLECTIONS,
     )
-
-
-def _peak(values: dict[str, Any]) -> Peak:
-    direction, irradiance = tuple(values["direction"]), tuple(values["irradiance"])
-    return Peak(direction, irradiance, values["angular_radius"])
 
 
 def _read_receiver(done: Path, i: int, name: str, atlas: int) -> ReceiverResult:

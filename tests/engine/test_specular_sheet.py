@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from prt_baker.addon.prt.light import lat_long
-from prt_baker.addon.prt.specular import brdf, prefilter, sheet, splines, table
+from prt_baker.addon.prt.specular import brdf, prefilter, sheet, table
 
 SUN = np.array([0.6, 0.5, 0.3]) / np.linalg.norm([0.6, 0.5, 0.3])
 
@@ -106,10 +106,7 @@ def test_a_large_picture_is_kept_finer_and_very_bright_ones_fit_into_half_floats
 def test_the_strip_holds_the_table(made):
     roughness, n_v = np.random.default_rng(0).random((2, 2000))
     read = sheet.split_sum(made[1], roughness, n_v)
-    error = np.abs(read - table.bilinear(table.load(), roughness, n_v)).max(axis=1)
-    assert np.quantile(error, 0.99) < 1e-3
-    exact = [table.split_sum(r, c) for r, c in zip(roughness[:50], n_v[:50], strict=True)]
-    assert read[:50] == pytest.approx(np.array(exact), abs=1e-3)
+    assert read == pytest.approx(table.bilinear(table.load(), roughness, n_v), abs=1e-6)
 
 
 def test_zonal_factors_have_closed_forms_at_both_ends():
@@ -126,14 +123,6 @@ def test_resampling_keeps_the_light():
         other = prefilter.resampled(pixels, height, width)
         kept = lat_long.row_solid_angles(height, width) @ other.sum(axis=1)
         assert kept == pytest.approx(light, rel=1e-5)
-
-
-def test_a_spline_goes_through_its_nodes():
-    values = np.random.default_rng(0).random((9, 7, 2))
-    image = splines.through_nodes(splines.through_nodes(values, 0), 1)
-    y, x = np.mgrid[:9, :7]
-    read = splines.read(image, x.ravel() + 4.5, y.ravel() + 4.5)
-    assert read == pytest.approx(values.reshape(-1, 2), abs=1e-12)
 
 
 def test_threads_change_nothing(picture):

@@ -49,7 +49,13 @@ def weight(radiance_sh: npt.ArrayLike, baked_sh: npt.ArrayLike) -> Float:
     strength = np.linalg.norm(baked, axis=0)
     ratio = np.zeros(3)
     np.divide(np.linalg.norm(now, axis=0), strength, out=ratio, where=strength > 0)
-    return np.asarray(ratio * max(0.0, _cosine(now, baked)) ** SHARPNESS)
+    return np.asarray(ratio * likeness(now, baked))
+
+
+def likeness(radiance_sh: npt.ArrayLike, baked_sh: npt.ArrayLike) -> float:
+    """``max(0, rho)^16``: 1 where the lights differ in strength alone, 0 where nothing is left."""
+    now, baked = np.asarray(radiance_sh, np.float64), np.asarray(baked_sh, np.float64)
+    return float(max(0.0, _cosine(now, baked)) ** SHARPNESS)
 
 
 def turn_weights(radiance_sh: npt.ArrayLike, baked_sh: npt.ArrayLike, turns: int) -> Float:

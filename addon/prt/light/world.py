@@ -132,10 +132,7 @@ class World:
         key = f"peaks-{self._peaks}-{self._settings.order}-{self._name}" if self._name else ""
         known = self._cache.get(key) if key else None
         if known is not None:
-            return tuple(
-                Peak(tuple(p["direction"]), tuple(p["irradiance"]), p["angular_radius"])
-                for p in known.report["peaks"]
-            )
+            return tuple(map(Peak.of, known.report["peaks"]))
         if key:
             self._cache.put(key, {}, {"peaks": [asdict(p) for p in self._cut_out.peaks]})
         return self._cut_out.peaks

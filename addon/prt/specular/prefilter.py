@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..parallel import workers
-from . import splines
+from . import reads
 
 Array = npt.NDArray[np.float32]
 Float = npt.NDArray[np.float64]
@@ -27,7 +27,7 @@ FINE = 7.0  # of its texels in the lobe's alpha
 WINDOW = 32.0  # alphas from the lobe's middle that still count, for sharp lobes; 0.4 % lie further
 SMOOTH = 20.0  # azimuths of the lobe, times its alpha, beyond which its series holds nothing
 SHARP = 0.05  # the largest alpha that does with a window
-SPLINE = 0.02  # the smallest alpha whose level a spline can follow: it overshoots beside sharper
+SMOOTH_ALPHA = 0.02  # from here on a level is smooth enough for reads to be balanced
 
 
 def resampled(pixels: Array, height: int, width: int) -> Array:
@@ -58,15 +58,15 @@ def levels(
     pixels: Array, roughness: npt.ArrayLike, height: int, width: int, threads: int = 0
 ) -> Iterator[Array]:
     """For each ``roughness`` above 0, the filtered ``pixels`` (H, W, 3) as a lat-long map
-    (height, width, 3), top row first: what a cubic B-spline needs to go through the values, or,
-    where the lobe is too sharp for one, the values themselves."""
+    (height, width, 3), top row first: the values, and where they are smooth what linear reads
+    between texels come nearest to them with."""
     source: _Source | None = None
     for alpha in np.square(np.asarray(roughness, np.float64)).tolist():
         wide = next((w for w in SOURCES if w >= FINE * 2 * np.pi / alpha), SOURCES[-1])
         if source is None or source.width != wide:
             source = _Source.of(pixels, wide)
         values = _filtered(source, alpha, (height, width), threads)
-        yield _through(values) if alpha >= SPLINE else values
+        yield _balanced(values) if alpha >= SMOOTH_ALPHA else values
 
 
 @dataclass(frozen=True)
@@ -169,15 +169,15 @@ def _half_azimuths(width: int) -> Float:
     return np.asarray(np.square(np.sin(np.pi * np.arange(width // 2 + 1) / width)))
 
 
-def _through(values: Array) -> Array:
-    """Coefficients of the spline through ``values`` (h, w, 3), along great circles over the poles
-    and along the parallels, both of which close."""
+def _balanced(values: Array) -> Array:
+    """``values`` (h, w, 3) over the response of reads, along great circles over the poles and along
+    the parallels, both of which close."""
     height, width = values.shape[:2]
     circles = np.concatenate([values, np.roll(values[::-1], width // 2, axis=1)])
     for axis in (0, 1):
         spectra = np.fft.rfft(circles, axis=axis)
         frequency = np.arange(spectra.shape[axis]) * 2 * np.pi / circles.shape[axis]
-        factors = 1 / splines.response(frequency)
+        factors = 1 / reads.response(frequency)
         spectra *= factors[:, None, None] if axis == 0 else factors[:, None]
         circles = np.fft.irfft(spectra, circles.shape[axis], axis=axis)
     return circles[:height].astype(np.float32)

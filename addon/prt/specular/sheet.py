@@ -2,9 +2,9 @@
 
 From below: a strip with two tables, then four rows of four cells with the filtered radiance of
 ``ROUGHNESSES``, the sharpest first, from the left and from below, then the picture itself.  All are
-lat-long maps as in Blender, with gutters that go on over the wrap and the poles.  It is read with
-cubic B-splines (``splines.read``), which EEVEE does at full resolution, never from a mip level: so
-neither the wrap of the azimuth nor the border between two levels shows.
+lat-long maps as in Blender, with gutters that go on over the wrap and the poles.  It is read at
+full resolution, never from a mip level (``reads``): so neither the wrap of the azimuth nor the
+border between two levels shows.
 
 The left table holds A and B of the split sum over sqrt(n_v), to the right, and the roughness, up.
 The right one holds, over the roughness alone, ``(1 + z_l) / 2`` of the lobe's zonal factors l = 1
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import brdf, prefilter, splines, table
+from . import brdf, prefilter, reads, table
 
 Array = npt.NDArray[np.float32]
 Float = npt.NDArray[np.float64]
@@ -28,10 +28,11 @@ COLUMNS = 4
 SHARPEST = 2.0**-3.5  # the roughness of the first
 A_DOUBLING = 4  # so many levels on the roughness is twice as large
 ROUGHNESSES = SHARPEST * 2.0 ** (np.arange(CELLS) / A_DOUBLING)
-GUTTER = (8, 4)  # texels left and right, above and below
+GUTTER = (4, 2)  # texels left and right, above and below
 CELL = (512, 256)  # with its gutters
 PLAIN = (64, 32)  # the same under a world of one colour
-TILE = table.SIZE + 2 * splines.GUTTER
+TILE = table.SIZE + 4
+NODE = 2.5  # where the first node of a table is, in texels
 LARGEST_HALF = 60000.0
 
 
@@ -143,8 +144,7 @@ def split_sum(image: npt.ArrayLike, roughness: npt.ArrayLike, n_v: npt.ArrayLike
     """``A`` and ``B`` (P, 2) as the nodes read them."""
     across = np.sqrt(np.asarray(n_v, np.float64)) * (table.SIZE - 1)
     up = np.asarray(roughness, np.float64) * (table.SIZE - 1)
-    start = splines.GUTTER + 0.5
-    return splines.read(np.asarray(image)[..., :2], across + start, up + start)
+    return reads.bilinear(np.asarray(image)[..., :2], across + NODE, up + NODE)
 
 
 def zonal_factors(roughness: npt.ArrayLike) -> Float:
@@ -172,12 +172,12 @@ def _detail(width: int) -> int:
 
 def _tables() -> Array:
     """The strip (TILE, 2 TILE, 4)."""
-    strip = np.zeros((TILE, 2 * TILE, 4))
-    nodes = splines.through_nodes(splines.through_nodes(table.load(), 0), 1)
-    strip[:, :TILE, :2], strip[:, :TILE, 3] = nodes, 1
+    nodes = np.ones((2, table.SIZE, table.SIZE, 4))
+    nodes[0, ..., :2] = table.load()
     factors = zonal_factors(np.linspace(0, 1, table.SIZE))[:, 1:]
-    strip[:, TILE:] = splines.through_nodes(0.5 + 0.5 * factors, 0)[:, None]
-    return strip.astype(np.float32)
+    nodes[1] = 0.5 + 0.5 * factors[:, None]
+    tiles = np.pad(nodes, ((0, 0), (2, 2), (2, 2), (0, 0)), mode="edge")
+    return np.concatenate([*tiles], axis=1).astype(np.float32)
 
 
 def _place(image: Array, corner: tuple[int, int], values: Array) -> None:
@@ -192,7 +192,7 @@ def _place(image: Array, corner: tuple[int, int], values: Array) -> None:
 
 def _read_picture(sheet: Sheet, image: Array, u: Float, v: Float) -> Float:
     (x, y), (width, height) = sheet.picture_corner, sheet.picture
-    return splines.read(image[..., :3], x + u * width, y + v * height)
+    return reads.bilinear(image[..., :3], x + u * width, y + v * height)
 
 
 def _read_level(
@@ -201,4 +201,4 @@ def _read_level(
     (x, y), (width, height) = sheet.cell_corner(0), sheet.inner
     x_of = x + level % COLUMNS * sheet.cell[0] + u * width
     y_of = y + level // COLUMNS * sheet.cell[1] + v * height
-    return splines.read(image[..., :3], x_of, y_of)
+    return reads.bilinear(image[..., :3], x_of, y_of)

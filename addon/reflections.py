@@ -1,0 +1,84 @@
+"""The image that shiny materials reflect, packed into the .blend: ``image["prt_reflections"]``
+(JSON) says what lies where in it.  There is one for the file, as there is one light."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import bpy
+
+from .prt.errors import BakeError
+from .prt.job import Peak
+from .prt.results import Reflections
+from .prt.specular.sheet import Sheet
+
+NAME = "PRT Reflections"
+TAG = "prt_reflections"
+
+
+@dataclass(frozen=True)
+class Known:
+    """What an image says of itself: where things are, and which peaks are left out of it, in the
+    picture's own frame and for a strength of 1."""
+
+    sheet: Sheet
+    peaks: tuple[Peak, ...]
+
+
+def current() -> bpy.types.Image | None:
+    """The image of the file; None where nothing is reflected."""
+    named = bpy.data.images.get(NAME)
+    if named is not None and TAG in named:
+        return named
+    return next((image for image in bpy.data.images if TAG in image), None)
+
+
+def of(image: bpy.types.Image) -> Known:
+    """What ``image`` says of itself."""
+    found: dict[str, Any] = json.loads(image[TAG])
+    return Known(Sheet.of(found["sheet"]), tuple(Peak.of(peak) for peak in found["peaks"]))
+
+
+@contextmanager
+def loaded(found: Reflections | None) -> Iterator[bpy.types.Image | None]:
+    """``found`` as a packed image, gone again on an error inside; None for None."""
+    if found is None:
+        yield None
+        return
+    image = _load(found)
+    try:
+        yield image
+    except BaseException:
+        bpy.data.images.remove(image)
+        raise
+
+
+def replace(image: bpy.types.Image) -> None:
+    """Let ``image`` be the only one."""
+    for other in [one for one in bpy.data.images if TAG in one and one != image]:
+        bpy.data.images.remove(other)
+    image.name = NAME
+
+
+def free_unused() -> None:
+    """Delete it where no material reflects it."""
+    for image in [one for one in bpy.data.images if TAG in one and not one.users]:
+        bpy.data.images.remove(image)
+
+
+def _load(found: Reflections) -> bpy.types.Image:
+    image = bpy.data.images.load(str(found.path), check_existing=False)
+    image.name = NAME
+    image.colorspace_settings.name = "Non-Color"
+    image.alpha_mode = "CHANNEL_PACKED"
+    if 0 in image.size or not (image.has_data and image.is_float):
+        bpy.data.images.remove(image)
+        raise BakeError("Blender cannot read the reflections: bake again")
+    image.pack()
+    image.filepath_raw = f"//{NAME}.exr"
+    image[TAG] = json.dumps(
+        {"sheet": asdict(found.sheet), "peaks": [asdict(peak) for peak in found.peaks]}
+    )
+    return image
