@@ -128,11 +128,9 @@ def _add_how(parser: _Parser) -> None:
         "--tolerance", type=_share, metavar="E", help="as many as leave this noise: 0.01 or 1%%"
     )
     add(
-        "--no-reflections",
-        action="store_const",
-        const=False,
-        dest="reflections",
-        help="no reflections of the world in shiny materials",
+        "--reflections",
+        action=argparse.BooleanOptionalAction,
+        help="let shiny materials reflect the world",
     )
     _add_exact(parser)
     add("--seed", type=_whole(0, 2**31 - 1), metavar="N", help="same seed, same result")

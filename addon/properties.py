@@ -111,7 +111,7 @@ class PRT_PG_settings(bpy.types.PropertyGroup):
         description="Shiny and metallic Principled materials reflect the world, turned and "
         "swapped as you like; off, they keep EEVEE's own look where they are metal, and shine not "
         "at all where they are not",
-        default=True,
+        default=False,
         options=set(),
     )
     rays: bpy.props.IntProperty(

@@ -16,6 +16,7 @@ from .prt.specular.sheet import Sheet
 
 NAME = "PRT Reflections"
 TAG = "prt_reflections"
+FORMER = "prt_former_reflections"
 
 
 @dataclass(frozen=True)
@@ -56,15 +57,19 @@ def loaded(found: Reflections | None) -> Iterator[bpy.types.Image | None]:
 
 
 def replace(image: bpy.types.Image) -> None:
-    """Let ``image`` be the only one."""
+    """Let ``image`` be the only one.  Those before are left without users, for ``free_unused``: a
+    handler that deletes data which the depsgraph still lists crashes Blender."""
     for other in [one for one in bpy.data.images if TAG in one and one != image]:
-        bpy.data.images.remove(other)
+        del other[TAG]
+        other[FORMER] = True
+        other.name = f"{NAME} (former)"
     image.name = NAME
 
 
 def free_unused() -> None:
-    """Delete it where no material reflects it."""
-    for image in [one for one in bpy.data.images if TAG in one and not one.users]:
+    """Delete it where no material reflects it, and those that it has replaced."""
+    ours = (one for one in bpy.data.images if TAG in one or FORMER in one)
+    for image in [one for one in ours if not one.users]:
         bpy.data.images.remove(image)
 
 

@@ -145,7 +145,6 @@ def reflect(reflected: bpy.types.Image | None) -> None:
     if reflected is not None:
         nodes.reflect(reflected)
         reflections.replace(reflected)
-        reflections.free_unused()
 
 
 def _reflect(undo: ExitStack, reflected: bpy.types.Image) -> None:

@@ -150,9 +150,9 @@ def test_the_settings_tell_what_an_order_costs(context):
     notes = drawn(settings_panel.PRT_PT_settings, context)
     assert notes[:3] == ["<carrier>", "<order>", "7 of EEVEE's 14 attributes"]
     assert notes[3:5] == ["<bounces>", "<all_bounces>"]
-    assert notes[5:] == ["<quality>", "<rays>", "<seed>", "<threads>"]
+    assert notes[5:] == ["<reflections>", "<quality>", "<rays>", "<seed>", "<threads>"]
     context.scene.prt.quality = "TOLERANCE"
-    assert drawn(settings_panel.PRT_PT_settings, context)[6] == "<tolerance>"
+    assert drawn(settings_panel.PRT_PT_settings, context)[7] == "<tolerance>"
 
 
 def test_the_settings_tell_what_colours_that_bounce_cost(context):
