@@ -126,7 +126,8 @@ def _filtered(source: _Source, alpha: float, shape: tuple[int, int], threads: in
     azimuths = min(source.width, max(SOURCES[0], 2 ** ceil(log2(SMOOTH / alpha))))
     count = min(width, azimuths) // 2  # frequencies
     # both halves of the sphere at once, as real numbers: (frequencies, 12, rows)
-    both = np.concatenate([source.spectra[:, :count], source.spectra[::-1, :count]], axis=2)
+    halves = [source.spectra[:, :count], source.spectra[::-1, :count]]
+    both = np.ascontiguousarray(np.concatenate(halves, axis=2))  # older numpy keeps their order
     kept = np.ascontiguousarray(both.view(np.float32).transpose(1, 2, 0))
     forward = np.exp(1j * np.pi * np.arange(count) / width)[:, None] * width
 
