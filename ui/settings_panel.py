@@ -1,5 +1,7 @@
 """How finely to bake."""
 
+from dataclasses import replace
+
 import bpy
 
 from ..addon.prt.layout import MAX_ATTRIBUTES, Layout
@@ -18,7 +20,7 @@ class PRT_PT_settings(SidebarPanel, bpy.types.Panel):
     bl_parent_id = "PRT_PT_bake"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Order and bounces with what they cost, rays, seed, threads."""
+        """Order, bounces and occlusion with what they cost, rays, seed, threads."""
         chosen = context.scene.prt
         layout = split(self.layout)
         layout.prop(chosen, "carrier")
@@ -32,6 +34,9 @@ class PRT_PT_settings(SidebarPanel, bpy.types.Panel):
         layout.prop(chosen, "reflections")
         if chosen.reflections:
             hint(layout, REFLECTIONS)
+            layout.prop(chosen, "visibility_order")
+            if int(chosen.visibility_order) and chosen.carrier != "TEXTURE":
+                hint(layout, occlusion_hint(chosen))
         layout.prop(chosen, "quality")
         layout.prop(chosen, "rays" if chosen.quality == "RAYS" else "tolerance")
         layout.prop(chosen, "seed")
@@ -101,23 +106,31 @@ def split(layout: bpy.types.UILayout) -> bpy.types.UILayout:
     return layout
 
 
-def used_attributes(chosen: bpy.types.PropertyGroup) -> int:
-    """How many vertex attributes a bake of grey surfaces takes at most."""
-    turns = chosen.turns if chosen.residual else 0
-    return len(Layout(chosen.order, 1, turns, chosen.peaks).attributes)
+def used_layout(chosen: bpy.types.PropertyGroup, channels: int = 1) -> Layout:
+    """The most that a bake of grey surfaces stores, or with three ``channels`` one of coloured
+    ones that light bounces off."""
+    turns, seen = chosen.turns if chosen.residual else 0, int(chosen.visibility_order)
+    seen *= chosen.reflections
+    return Layout(chosen.order, channels, turns, chosen.peaks, seen)
+
+
+def occlusion_hint(chosen: bpy.types.PropertyGroup) -> str:
+    """What of the attributes are for the occlusion of reflections; it takes no ray."""
+    whole = used_layout(chosen)
+    more = len(whole.attributes) - len(replace(whole, visibility_order=0).attributes)
+    return f"{more} attribute{'s' * (more != 1)} of them, and no more rays"
 
 
 def attributes_hint(chosen: bpy.types.PropertyGroup) -> str:
     """What a bake takes of the attributes; with bounces, of coloured surfaces too."""
-    grey = used_attributes(chosen)
+    grey = len(used_layout(chosen).attributes)
     whole = f"{grey} of EEVEE's {MAX_ATTRIBUTES} attributes"
-    turns = chosen.turns if chosen.residual else 0
-    coloured = len(Layout(chosen.order, 3, turns, chosen.peaks).attributes)
+    coloured = len(used_layout(chosen, 3).attributes)
     bounces = chosen.bounces or chosen.all_bounces
     return f"{whole}, {coloured} where colours bounce" if bounces else whole
 
 
 def megabytes(chosen: bpy.types.PropertyGroup) -> float:
     """What one texture takes in memory at most: four floats a texel of every tile, and mips."""
-    columns, rows = tile_grid(used_attributes(chosen))
+    columns, rows = tile_grid(len(used_layout(chosen).attributes))
     return columns * rows * int(chosen.resolution) ** 2 * BYTES * MIPS / 1e6

@@ -119,7 +119,7 @@ def test_options_go_before_the_blend(scene, asked):
 def test_what_is_not_given_is_as_the_blend_says(scene, asked):
     chosen = scene.prt
     chosen.quality, chosen.tolerance, chosen.turns, chosen.peaks = "TOLERANCE", 2.0, 4, 1
-    chosen.final_light, chosen.visibility_order = True, "4"
+    chosen.final_light, chosen.reflections, chosen.visibility_order = True, True, "4"
     assert cli.command([]) == 0
     settings = asked[0][2]
     assert settings.tolerance == pytest.approx(0.02)

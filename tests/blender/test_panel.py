@@ -155,6 +155,21 @@ def test_the_settings_tell_what_an_order_costs(context):
     assert drawn(settings_panel.PRT_PT_settings, context)[7] == "<tolerance>"
 
 
+@pytest.mark.parametrize(("order", "whole", "more"), [("3", 6, "3 attributes"), ("2", 4, "1 attr")])
+def test_the_settings_tell_what_occlusion_of_reflections_costs(context, order, whole, more):
+    chosen = context.scene.prt
+    chosen.visibility_order, chosen.reflections = order, False
+    assert "<visibility_order>" not in drawn(settings_panel.PRT_PT_settings, context)
+    chosen.reflections = True
+    notes = drawn(settings_panel.PRT_PT_settings, context)
+    assert f"{whole} of EEVEE's 14 attributes" in notes
+    hint = notes[notes.index("<visibility_order>") + 1]
+    assert hint.startswith(f"{more}")
+    assert hint.endswith("of them, and no more rays")
+    chosen.carrier = "TEXTURE"
+    assert not any("of them" in note for note in drawn(settings_panel.PRT_PT_settings, context))
+
+
 def test_the_settings_tell_what_colours_that_bounce_cost(context):
     context.scene.prt.bounces = 3
     whole = "3 of EEVEE's 14 attributes, 8 where colours bounce"
