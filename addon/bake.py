@@ -15,6 +15,7 @@ import numpy as np
 from . import (
     albedo_state,
     attributes,
+    bake_plan,
     carrier,
     engine,
     figures,
@@ -38,7 +39,6 @@ from .prt.layout import Layout
 from .prt.light import residual
 from .prt.light.projection import world_sh
 from .prt.results import ReceiverResult, Results
-from .prt.tiles import largest_size, tile_grid
 from .world import WorldLight
 
 Report = dict[str, Any]
@@ -67,17 +67,11 @@ def bake(
             bpy.context.evaluated_depsgraph_get(), with_albedo=settings.bounces != 0
         )
         channels = channels_of(occluders.albedo)
-        least, most = _possible(bpy.data.scenes[scene_name], settings, hdri, channels)
+        least, most = bake_plan.possible(bpy.data.scenes[scene_name], settings, hdri, channels)
         carriers = [receiver.carrier for receiver in receivers]
-        writeback.check(
-            bpy.data.scenes[scene_name],
-            objects,
-            most,
-            least,
-            carriers,
-            reflections=settings.reflections,
-        )
-        largest = _largest_image(settings, most) if target.carrier != "vertex" else 0
+        owner, reflects = bpy.data.scenes[scene_name], settings.reflections
+        writeback.check(owner, objects, most, least, carriers, reflections=reflects)
+        largest = bake_plan.largest_image(settings, most) if target.carrier != "vertex" else 0
         notes = writeback.notes(bpy.data.scenes[scene_name], objects, largest)
         notes += map(figures.does_not_light, occluders.emitters)
         stamps = [
@@ -85,18 +79,9 @@ def bake(
             for obj, receiver in zip(objects, receivers, strict=True)
         ]
         yield jobs.Progress("scene", 0.0)
-        settings = replace(
-            settings,
-            residual=most.turns > 0,
-            peaks=most.lights,
-            reflections=writeback.reflects(
-                bpy.data.scenes[scene_name], objects, wanted=settings.reflections
-            ),
-        )
-        if settings.bounces and settings.peaks and not settings.residual:
-            raise BakeError(
-                "Peaks that bounce need Exact at This World: switch that on, or choose no peaks"
-            )
+        owner = bpy.data.scenes[scene_name]
+        reflects = writeback.reflects(owner, objects, wanted=settings.reflections)
+        settings = bake_plan.settled(settings, most, reflects=reflects)
         job = jobs.Job(settings=settings, receivers=receivers, **_standing(occluders))
         light = _light(scene_name, hdri, folder)
         job = replace(job, light=light.source)
@@ -182,33 +167,6 @@ def _stamp_of(obj: bpy.types.Object) -> stamp.Stamp:
     if found is None:
         raise BakeError(f"{obj.name} has no bake: bake it first")
     return found
-
-
-def _possible(
-    owner: bpy.types.Scene, settings: jobs.Settings, hdri: str | None, channels: int
-) -> tuple[Layout, Layout]:
-    """The least and the most that a bake may store: a colour has nothing that an order leaves out,
-    what is worth its float is only known in the end, and coloured surfaces take three channels."""
-    simple = world.read_nodes(owner, bpy.context.evaluated_depsgraph_get()) if not hdri else None
-    is_colour = simple is not None and simple.image is None
-    turns = 0 if is_colour or not settings.residual else settings.turns
-    seen = settings.visibility_order
-    most = Layout(settings.order, channels, turns, 0 if is_colour else settings.peaks, seen)
-    may_be_cut = settings.final_light or settings.tolerance > 0
-    return replace(most, order=1 if may_be_cut else settings.order, lights=0), most
-
-
-def _largest_image(settings: jobs.Settings, most: Layout) -> int:
-    """The side of the image of an atlas, at most, where it is not given by a density; BakeError
-    where graphics cards take none so large."""
-    count = len(most.attributes)
-    side = 0 if settings.texel_density else settings.resolution
-    if side > largest_size(count):
-        raise BakeError(
-            f"A texture of {side} x {side} with {most} is larger than graphics cards take: "
-            f"choose at most {largest_size(count)}, or a lower order"
-        )
-    return side * max(tile_grid(count))
 
 
 def _light(scene_name: str, hdri: str | None, folder: Path) -> WorldLight:
