@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 Index = npt.NDArray[np.int64]
 
-RAYS = 8
+RAYS = 16
 OPEN = float(sh.open_transfer([0.0, 0.0, 1.0], 1)[0])
 CRACK = 1 / 256  # of the open sky
 CHUNK = 4096  # points
