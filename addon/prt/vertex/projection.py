@@ -65,5 +65,6 @@ class Projection:
         return lumped(mesh, places, areas, right_side(mesh, places, areas, samples.values))
 
     def _fit(self, samples: Samples) -> Array:
-        fit = Fit(self.parts.mesh, self.parts.of_points, self.parts.count)
+        parts, threads = self.parts, self.first.threads
+        fit = Fit(parts.mesh, parts.of_points, parts.count, threads)
         return fit.solve(samples, self.first.weights)

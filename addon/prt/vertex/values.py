@@ -34,7 +34,7 @@ class Values:
         self, points: Points, parts: Parts, fitted: Mask, settings: Settings, noise: float
     ) -> None:
         self._parts, self._noise, self.fitted = parts, noise, fitted
-        self._order, self._threads = settings.order, settings.threads
+        self._order, self.threads = settings.order, settings.threads
         self._open = sh.open_transfer(points.normals, self._order).astype(np.float32)
         self._fit_errors = Errors(*np.zeros((3, parts.count)))
         self.weights: Float = np.ones(parts.count)
@@ -69,7 +69,7 @@ class Values:
         self, samples: Samples, weights: tuple[float, ...] = WEIGHTS
     ) -> tuple[Float, Float]:
         parts = self._parts
-        of, count, threads = parts.of_points, parts.count, self._threads
+        of, count, threads = parts.of_points, parts.count, self.threads
         return best_weights(parts.mesh, samples, of, count, weights=weights, threads=threads)
 
     def _samples(self, traced: Traced) -> tuple[Samples, Array]:
@@ -98,7 +98,7 @@ class Values:
         noise = traced.noisier * np.random.default_rng(0).standard_normal(len(samples.areas))
         columns_and_noise = [samples.values, noise[:, None].astype(np.float32)]
         samples = replace(samples, values=np.concatenate(columns_and_noise, axis=1))
-        fit = Fit(mesh, parts.of_points, parts.count, self._threads)
+        fit = Fit(mesh, parts.of_points, parts.count, self.threads)
         values = fit.solve(samples, weights)
         self._fit_errors = self._errors(traced, samples, missed, values[:, -1:])
         values[:, :columns] += dimmed
