@@ -18,12 +18,14 @@ class Edges:
     """Of F triangles: the ``chart`` (F,) that each is in, and the ``region`` (F,), a piece of a
     chart over which shading is smooth, both as the number of one of its triangles; and the seams,
     edges of exactly two triangles with equal shading normals that lie apart in the atlas: the ends
-    of both of their sides in texels, ``seams`` (S, 2 sides, 2 ends, 2), the same end first.  Where
-    the surface folds back on itself, its two sides see different things: that is no seam."""
+    of both of their sides in texels, ``seams`` (S, 2 sides, 2 ends, 2), the same end first, and the
+    triangles ``beside`` them (S, 2).  Where the surface folds back on itself, its two sides see
+    different things: that is no seam."""
 
     chart: Index
     region: Index
     seams: Float
+    beside: Index
 
 
 def edges_of(receiver: Receiver, surface: Surface, layout: Layout) -> Edges:
@@ -41,4 +43,5 @@ def edges_of(receiver: Receiver, surface: Surface, layout: Layout) -> Edges:
     region = components(triangle[edges.joined & ~apart], count)
     facing = surface.normals[triangle]
     folded = np.einsum("ec,ec->e", facing[:, 0], facing[:, 1]) < 0
-    return Edges(chart, region, turned[edges.joined & apart & ~folded])
+    seams = edges.joined & apart & ~folded
+    return Edges(chart, region, turned[seams], triangle[seams])

@@ -19,8 +19,8 @@ from .fill import AROUND, grow
 from .places import Array, Mesh
 from .refine import BETWEEN, BURIED, SHARES, TRACED, Grid, Refinement
 from .sampling import footprint
-from .stitch import Samples, borders, stitch
-from .tracer import NOWHERE, Tracer
+from .stitch import FOUND, WITHIN, Samples, Wanted, in_atlas, outside, sharpen, stitch
+from .tracer import CENTRE, NOWHERE, Tracer
 
 LEAST = 1e-3  # relative error that is always let pass: nobody sees it, and noise is above it
 RINGS = 2  # of buried texels about those that are not: what a read beside them touches
@@ -76,12 +76,16 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     grow(Grid.of(size, index, edges.chart[triangles]), work.values, known, RINGS)
     values, counts = work.values[known], np.bincount(work.state, minlength=4)
     at = Grid.of(size, index[known], grid.region[known]).at
-    seams = Samples.of(edges.seams, size, at)
+    inside, its = tracer.inside
+    within = Wanted.at(in_atlas(mesh.layout, inside), its, WITHIN, at)
+    for _ in sharpen(values, within, settings.order**2):
+        yield tracer.cast
+    seams = Samples.across(edges.seams, size, at)
     before = seams.read(values)
-    found = np.flatnonzero(work.state[known] != BURIED)
-    centres = tracer.at(np.flatnonzero(known), np.zeros(2))
-    yield tracer.cast
-    stitch(values, seams, *borders(mesh.layout, index[known], centres, at, found))
+    own = np.flatnonzero(work.state[known] != BURIED)
+    border, away = yield from _border(tracer, values, at, np.flatnonzero(known), own)
+    for _ in stitch(values, seams, border, away):
+        yield tracer.cast
     values[:, 0] = np.maximum(values[:, 0], 0)
     entry = {
         "texels": len(values),
@@ -142,6 +146,20 @@ def _push_out(
     values, hidden = yield from tracer.follow(places, SHARES[1])
     work.values[out[~hidden]] = values[~hidden]
     work.state[out[~hidden]] = TRACED
+
+
+def _border(
+    tracer: Tracer, values: Array, at: npt.NDArray[np.int32], rows: Index, own: Index
+) -> Generator[int, None, tuple[Wanted, Float]]:
+    """What was found where texels lie beyond the border of their charts, and how far outside of its
+    chart each texel lies (T,).  ``values`` (T, K) are those of the tracer's ``rows`` (T,), of which
+    the ``own`` ones (M,) were not filled; ``at`` (N, N) is the place of each among them.  Yields
+    the rays cast so far."""
+    centres = yield from tracer.at(rows, CENTRE)
+    places = in_atlas(tracer.mesh.layout, centres)
+    away = outside(places, np.flatnonzero(at.reshape(-1) >= 0), len(at))
+    mine = own[away[own] > 0]
+    return Wanted.at(places[mine], values[mine], FOUND, at), away
 
 
 def _seam_report(scale: Scale, before: Array, after: Array) -> dict[str, Any]:

@@ -1,73 +1,80 @@
-"""The borders of charts: what is read there is made what was found, and to meet over seams.
+"""The borders of charts and the edges inside: reads there find what was found, and meet over seams.
 
 A texel whose centre lies beyond a chart's border was traced at the border, so a read there, which
 mixes it with its neighbours inside, comes out as if it lay a part of a texel further in: dark
 corners are too light.  And the texels of both sides of a seam lie differently on the surface, so
-that two such reads differ: a line that the eye follows.  A least-squares fit changes the texels
-that are read along borders, most of all those outside, which hardly anything else reads, until
-reads at the border find what was found there and those of both sides meet.
+that two such reads differ: a line that the eye follows.  A least-squares fit changes the
+texels that are read along borders, most of all those outside, which hardly anything else reads,
+until reads at the border find what was found there and those of both sides meet.
+
+And where a shadow or a fold changes what is found within a texel, the mean of its places is not
+what comes nearest to them once it is read between its neighbours: another fit, before that one.
 """
 
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from ..surface.samples import Places
-from .cover import Float, Index, Layout
+from .cover import Float, Index, Layout, Mask
 from .sampling import footprint
 
 Array = npt.NDArray[np.float32]
 
 BEYOND = 0.15  # texels: a centre that is further outside was traced at the border
 FOUND = 1.0  # weight of a read at the border that misses what was found
+WITHIN = 0.5  # weight of a read within a texel that does
 LEAST_KEPT = 0.02  # weight of a change of a texel that hardly any place reads; of others 1
+LEAST_SHARE = 1e-6  # of a read: a texel that has less takes no part in it
 EVERY = 0.5  # texels between samples of a seam
 MEET = 10.0  # weight of a difference across a seam
-PIECE = 1 << 16  # texels that are looked at together
-STEPS, TOLERANCE = 100, 1e-4  # of the norm of the right side
+PIECE = 1 << 16  # places that are found together
+STEPS, TOLERANCE = 100, 1e-3  # of the norm of the right side
 BLOCK = 1 << 13  # samples of a product that stay in the processor's cache
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Places along the seams, as what is read there: ``rows`` (S, 8) of the texels, four of each
-    side, with ``weights`` (S, 8) of which one side's are negative, so that their product with the
-    texels is the jump across the seam."""
+    """S reads, as what they mix: ``rows`` (S, J) of texels with ``weights`` (S, J); four of a read
+    at a place, eight of a difference, where those of one of its two places are negative."""
 
     rows: Index
     weights: Array
 
     @classmethod
-    def of(cls, seams: Float, size: int, at: npt.NDArray[np.int32]) -> "Samples":
-        """Every half texel along ``seams`` (E, 2 sides, 2 ends, 2), in texels; ``at`` (N, N) is the
-        row of each texel, -1 where there is none: there nothing is compared."""
+    def at(cls, places: Float, size: int, at: npt.NDArray[np.int32]) -> "Samples":
+        """Reads at ``places`` (S, 2) in texels; ``at`` (N, N) is the row of each texel, -1 where
+        there is none."""
+        texels, weights = footprint((places + 0.5) / size, size)
+        rows = at.reshape(-1)[texels].astype(np.int64)
+        return cls(rows, np.where(np.abs(weights) < LEAST_SHARE, 0, weights).astype(np.float32))
+
+    @classmethod
+    def across(cls, seams: Float, size: int, at: npt.NDArray[np.int32]) -> "Samples":
+        """Jumps across ``seams`` (E, 2 sides, 2 ends, 2), in texels, every half texel, where both
+        sides read only texels that there are."""
         lengths = np.linalg.norm(seams[:, :, 1] - seams[:, :, 0], axis=2).max(axis=1, initial=0)
         counts = np.ceil(lengths / EVERY).astype(np.int64) + 1
         of = np.repeat(np.arange(len(seams)), counts)
         number = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
-        along = number / np.maximum(counts[of] - 1, 1)
-        rows, weights = [], []
-        for side, sign in ((0, 1.0), (1, -1.0)):
-            start, end = seams[of, side, 0], seams[of, side, 1]
-            place = start + along[:, None] * (end - start)
-            texels, shares = footprint((place + 0.5) / size, size)
-            rows.append(at.reshape(-1)[texels].astype(np.int64))
-            weights.append(sign * shares)
-        both, shares = np.concatenate(rows, axis=1), np.concatenate(weights, axis=1)
-        whole = ((both >= 0) | (np.abs(shares) < 1e-6)).all(axis=1)
-        shares = np.where(both < 0, 0, shares)[whole]
-        return cls(np.maximum(both[whole], 0), shares.astype(np.float32))
+        along = (number / np.maximum(counts[of] - 1, 1))[:, None]
+        places = seams[of, :, 0] + along[:, None] * (seams[of, :, 1] - seams[of, :, 0])
+        here, there = (cls.at(places[:, side], size, at) for side in range(2))
+        rows = np.concatenate([here.rows, there.rows], axis=1)
+        samples = cls(rows, np.concatenate([here.weights, -there.weights], axis=1))
+        return samples[samples.whole()]
 
-    def and_(self, other: "Samples", weight: float) -> "Samples":
-        """Both, the ``other`` ones with ``weight`` relative to these."""
-        return Samples(
-            np.concatenate([self.rows, other.rows]),
-            np.concatenate([self.weights, np.float32(weight) * other.weights]),
-        )
+    def whole(self) -> Mask:
+        """Which (S,) read only texels that there are."""
+        return np.asarray(((self.rows >= 0) | (self.weights == 0)).all(axis=1))
+
+    def __getitem__(self, chosen: Mask) -> "Samples":
+        return Samples(self.rows[chosen], self.weights[chosen])
 
     def read(self, values: Array) -> Array:
-        """The products (S, K) of the weights and ``values`` (T, K): jumps across seams."""
+        """What is read (S, K) of ``values`` (T, K)."""
         out = np.empty((len(self.rows), values.shape[1]), np.float32)
         for first in range(0, len(out), BLOCK):
             some = slice(first, first + BLOCK)
@@ -75,35 +82,69 @@ class Samples:
         return out
 
 
-class Stitch:
-    """The system whose solution makes what ``samples`` read what is wanted; ``kept`` (T,) is the
-    weight of a change of each texel."""
+@dataclass(frozen=True)
+class Wanted:
+    """What ``samples`` are to read, ``values`` (S, K), and the ``weight`` of the square of what
+    they miss."""
 
-    def __init__(self, samples: Samples, kept_weights: Array) -> None:
-        used = np.abs(samples.weights) > 0
-        kept, compact = np.unique(samples.rows[used], return_inverse=True)
-        rows = np.zeros(samples.rows.shape, np.int64)
-        rows[used] = compact.reshape(-1)
-        self.rows, self._samples = kept, Samples(rows, samples.weights)
-        entries = np.flatnonzero(used.reshape(-1))
-        of = rows.reshape(-1)[entries]
-        degree = np.bincount(of, minlength=len(kept))
-        self._order = np.argsort(-degree, kind="stable")  # texels of the most samples first
-        rank = np.empty_like(self._order)
-        rank[self._order] = np.arange(len(kept))
-        by_rank = entries[np.argsort(rank[of], kind="stable")]
-        starts = np.cumsum(degree[self._order]) - degree[self._order]
-        filled = [int((degree > k).sum()) for k in range(int(degree.max(initial=0)))]
-        slots = [by_rank[starts[:n] + k] for k, n in enumerate(filled)]
-        self._slots = [(s // 8, samples.weights.reshape(-1)[s][:, None]) for s in slots]
-        squares = np.bincount(of, samples.weights.reshape(-1)[entries] ** 2, len(kept))
-        self._keep = kept_weights[kept].astype(np.float32)[:, None]
+    samples: Samples
+    values: Array
+    weight: float
+
+    @classmethod
+    def at(cls, places: Float, values: Array, weight: float, at: npt.NDArray[np.int32]) -> "Wanted":
+        """``values`` (S, K) at ``places`` (S, 2), in texels, where only texels are read that there
+        are; ``at`` (N, N) as for ``Samples``."""
+        samples = Samples.at(places, len(at), at)
+        whole = samples.whole()
+        return cls(samples[whole], values[whole], weight)
+
+
+class Stitch:
+    """The system whose solution makes reads find what is ``wanted``; ``kept`` (T,) is the weight of
+    a change of each texel."""
+
+    def __init__(self, wanted: Sequence[Wanted], kept: Array) -> None:
+        weighted = [np.float32(w.weight**0.5) * w.samples.weights for w in wanted]
+        used = [np.abs(weights) > 0 for weights in weighted]
+        entries = [w.samples.rows[u] for w, u in zip(wanted, used, strict=True)]
+        self.rows, of = np.unique(np.concatenate(entries), return_inverse=True)
+        compact = np.split(of.reshape(-1), np.cumsum([len(rows) for rows in entries])[:-1])
+        self._samples = []
+        for weights, u, rows in zip(weighted, used, compact, strict=True):
+            full = np.zeros(weights.shape, np.int64)
+            full[u] = rows
+            self._samples.append(Samples(full, weights))
+        self._wanted = [np.float32(w.weight**0.5) * w.values for w in wanted]
+        shares = np.concatenate([weights[u] for weights, u in zip(weighted, used, strict=True)])
+        starts = np.cumsum([0, *(len(weights) for weights in weighted)])
+        samples = [start + np.nonzero(u)[0] for start, u in zip(starts, used, strict=False)]
+        self._set_slots(of.reshape(-1), np.concatenate(samples), shares)
+        self._keep = kept[self.rows].astype(np.float32)[:, None]
+        squares = np.bincount(of.reshape(-1), shares**2, len(self.rows))
         self._diagonal = self._keep + squares.astype(np.float32)[:, None]
 
-    def solve(self, values: Array, wanted: Array) -> None:
-        """Change ``values`` (T, K) in place by dx, each column for itself, so that keep |dx|² +
-        |read of x + dx - ``wanted`` (S, K)|² is least: by conjugate gradients."""
-        residual = self._gathered(wanted - self._samples.read(values[self.rows]))
+    def _set_slots(self, of: Index, samples: Index, shares: Array) -> None:
+        """For each texel ``of`` (M,) the ``samples`` (M,) that read it and their ``shares`` (M,):
+        the first of each texel, the second, and so on, texels of the most samples first."""
+        count = len(self.rows)
+        degree = np.bincount(of, minlength=count)
+        self._order = np.argsort(-degree, kind="stable")
+        rank = np.empty_like(self._order)
+        rank[self._order] = np.arange(count)
+        by_rank = np.argsort(rank[of], kind="stable")
+        first = np.cumsum(degree[self._order]) - degree[self._order]
+        self._slots = []
+        for k in range(int(degree.max(initial=0))):
+            chosen = by_rank[first[: int((degree > k).sum())] + k]
+            self._slots.append((samples[chosen], shares[chosen][:, None]))
+
+    def solve(self, values: Array) -> Generator[None, None, None]:
+        """Change ``values`` (T, K) in place by dx, each column for itself, so that keep |dx|² and
+        what reads of x + dx miss, squared and weighted, are least together: by conjugate gradients.
+        Yields after each step."""
+        missed = np.concatenate(self._wanted) - self._read(values[self.rows])
+        residual = self._gathered(missed)
         x = np.zeros_like(residual)
         scaled = residual / self._diagonal
         towards, energy = scaled.copy(), _dot(residual, scaled)
@@ -111,7 +152,7 @@ class Stitch:
         for _ in range(STEPS):
             if (energy <= enough).all():
                 break
-            image = self._keep * towards + self._gathered(self._samples.read(towards))
+            image = self._keep * towards + self._gathered(self._read(towards))
             length = _ratio(energy, _dot(towards, image))
             x += length * towards
             residual -= length * image
@@ -119,7 +160,12 @@ class Stitch:
             before, energy = energy, _dot(residual, scaled)
             towards *= _ratio(energy, before)
             towards += scaled
+            yield
         values[self.rows] += x
+
+    def _read(self, values: Array) -> Array:
+        """What all samples read of ``values`` (R, K) of the texels that they use."""
+        return np.concatenate([samples.read(values) for samples in self._samples])
 
     def _gathered(self, of_samples: Array) -> Array:
         """The transposed weights times ``of_samples`` (S, K)."""
@@ -140,37 +186,50 @@ def _ratio(a: Float, b: Float) -> Array:
     return np.asarray(a / np.where(b > 0, b, 1) * (b > 0), np.float32)
 
 
-def borders(
-    layout: Layout, index: Index, centres: Places, at: npt.NDArray[np.int32], found: Index
-) -> tuple[Samples, Index, Float]:
-    """The reads where texels of the rows ``found`` were traced whose own centres lie outside of the
-    chart, the rows (B,) of these texels, and how far outside all lie (T,), in texels.  ``centres``
-    are the places on the surface nearest to the centres of the texels ``index`` (T,)."""
-    size, outside = layout.size, np.empty(len(index))
-    place = np.empty((len(index), 2))
-    for first in range(0, len(index), PIECE):
-        some = slice(first, first + PIECE)
-        corners = layout.corners[centres.triangles[some]]
-        place[some] = np.einsum("pk,pkc->pc", centres.barycentric[some], corners)
-        its = np.stack([index[some] % size, index[some] // size], axis=1)
-        outside[some] = np.linalg.norm(place[some] - its, axis=1)
-    outside[outside <= BEYOND] = 0
-    mine = found[outside[found] > 0]
-    texels, weights = footprint((place[mine] + 0.5) / size, size)
-    rows = at.reshape(-1)[texels].astype(np.int64)
-    both = np.concatenate([np.maximum(rows, 0), np.zeros_like(rows)], axis=1)
-    shares = np.concatenate([np.where(rows >= 0, weights, 0), np.zeros_like(weights)], axis=1)
-    return Samples(both, shares.astype(np.float32)), mine, outside
+def outside(places: Float, index: Index, size: int) -> Float:
+    """How far (T,) the centres of the texels ``index`` (T,) lie from the ``places`` (T, 2) of their
+    charts that are nearest to them, in texels; 0 where that is next to nothing."""
+    row, column = np.divmod(index, size)
+    away = np.hypot(places[:, 0] - column, places[:, 1] - row)
+    return np.asarray(np.where(away > BEYOND, away, 0.0))
 
 
-def stitch(values: Array, seams: Samples, border: Samples, own: Index, outside: Float) -> None:
-    """Change ``values`` (T, K) in place: reads across ``seams`` meet, and those at the ``border``
-    find the values that its texels ``own`` (B,), traced there, have now.  ``outside`` (T,) is how
-    far the centre of each texel lies from the chart, in texels."""
-    if not len(seams.rows) + len(border.rows):
+def in_atlas(layout: Layout, places: Places) -> Float:
+    """Where ``places`` (M,) lie in the atlas (M, 2), in texels."""
+    found = np.empty((len(places), 2))
+    for first in range(0, len(found), PIECE):
+        some = places[first : first + PIECE]
+        corners = layout.corners[some.triangles]
+        np.einsum("pk,pkc->pc", some.barycentric, corners, out=found[first : first + PIECE])
+    return found
+
+
+def sharpen(values: Array, within: Wanted, smooth: int) -> Generator[None, None, None]:
+    """Change ``values`` (T, K) in place so that reads ``within`` texels come nearer to what they
+    are to find.  Beyond the first ``smooth`` columns no texel leaves the range of these and of what
+    it was: the edge of a sun's shadow would have a bright line along it.  Yields now and then."""
+    if not len(within.values):
         return
-    keep = np.where(outside > 0, 0.5 * np.square(np.maximum(1 - outside, 0)), 1)
-    both = Samples(seams.rows, np.float32(MEET**0.5) * seams.weights).and_(border, FOUND**0.5)
+    sharp, its = values[:, smooth:], within.values[:, smooth:]
+    low, high = sharp.copy(), sharp.copy()
+    for rows, shares in zip(within.samples.rows.T, within.samples.weights.T, strict=True):
+        read = np.flatnonzero(shares > 0)
+        for k in range(its.shape[1]):
+            np.minimum.at(low[:, k], rows[read], its[read, k])
+            np.maximum.at(high[:, k], rows[read], its[read, k])
+        yield
+    yield from Stitch([within], np.ones(len(values), np.float32)).solve(values)
+    np.clip(sharp, low, high, out=sharp)
+
+
+def stitch(
+    values: Array, seams: Samples, border: Wanted, away: Float
+) -> Generator[None, None, None]:
+    """Change ``values`` (T, K) in place: reads across ``seams`` meet, and those at the ``border``
+    find what was found there.  ``away`` (T,) is how far, in texels, the centre of each texel lies
+    outside of its chart.  Yields now and then."""
     nothing = np.zeros((len(seams.rows), values.shape[1]), np.float32)
-    wanted = np.concatenate([nothing, np.float32(FOUND**0.5) * values[own]])
-    Stitch(both, np.maximum(keep, LEAST_KEPT).astype(np.float32)).solve(values, wanted)
+    wanted = [w for w in (Wanted(seams, nothing, MEET), border) if len(w.values)]
+    if wanted:
+        keep = np.where(away > 0, 0.5 * np.square(np.maximum(1 - away, 0)), 1)
+        yield from Stitch(wanted, np.maximum(keep, LEAST_KEPT).astype(np.float32)).solve(values)

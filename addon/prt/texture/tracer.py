@@ -6,12 +6,12 @@ from functools import reduce
 import numpy as np
 import numpy.typing as npt
 
-from ..surface.points import Index, morton_order
+from ..surface.points import Index
 from ..surface.samples import Places
 from ..tracing.buried import buried, rays_for
 from ..tracing.rays import Occlusion
 from ..vertex.parts import joined
-from ..vertex.traced import FALL, Trace, Traced
+from ..vertex.traced import FALL, Caster, Trace, Traced
 from .cover import Mask
 from .places import Array, Mesh
 
@@ -20,11 +20,12 @@ PIECE = 1 << 16  # places that are found together
 RECORDS = 1 << 19  # texels of which each place that was traced is kept; of more, every second one
 NONE = np.zeros(0, np.int64)
 NOWHERE = Places(NONE, np.zeros((0, 3)))
+CENTRE = np.zeros(2)
 QUARTERS = 0.25 * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])  # of a texel
 AWAY = 0.5 * np.array([[-1, 0], [1, 0], [0, -1], [0, 1], [-1, -1], [1, -1], [-1, 1], [1, 1]])
 
 
-class Tracer:
+class Tracer(Caster):
     """Traces the texels ``index`` (T,) of ``mesh``, which stand on ``triangles`` (T,).
 
     ``rays`` are those of a place whose share of them is 1; of what is found the first ``order``²
@@ -35,10 +36,12 @@ class Tracer:
         self, mesh: Mesh, index: Index, triangles: Index, trace: Trace, occlusion: Occlusion,
         *, order: int, rays: int,
     ) -> None:  # fmt: skip
+        super().__init__(trace)
         self.mesh, self._index, self._triangles = mesh, index, triangles
-        self._trace, self._occlusion, self._order = trace, occlusion, order
-        self.rays, self.cast, self.places = rays, 0, 0
+        self._occlusion, self._order = occlusion, order
+        self.rays, self.places = rays, 0
         self._found: list[Traced] = []
+        self._inside: list[tuple[Places, Array]] = []
         self._thin = 1 + len(index) // RECORDS
 
     @property
@@ -48,19 +51,29 @@ class Tracer:
         start = Traced(nothing, nothing, nothing, NONE, NOWHERE, NONE, np.zeros(0))
         return reduce(Traced.and_, self._found) if self._found else start
 
+    @property
+    def inside(self) -> tuple[Places, Array]:
+        """The places (M,) inside of texels with an edge between them that are seen, and what was
+        found at each (M, K)."""
+        if not self._inside:
+            return NOWHERE, np.zeros((0, 0), np.float32)
+        places, found = zip(*self._inside, strict=True)
+        return joined(list(places)), np.concatenate(found)
+
     def mean_noisier(self) -> float:
         """How many times noisier than a place with all rays those are that were traced, RMS."""
         squares = np.concatenate([np.zeros(0), *(found.noisier for found in self._found)]) ** 2
         return float(np.sqrt(squares.mean())) if len(squares) else 1.0
 
-    def at(self, rows: Index, offset: npt.NDArray[np.float64]) -> Places:
+    def at(self, rows: Index, offset: npt.NDArray[np.float64]) -> Generator[int, None, Places]:
         """The places nearest to ``offset`` texels, (2,) or (M, 2), from the centres of the texels
-        ``rows`` (M,), on the triangles that these stand on."""
+        ``rows`` (M,), on the triangles that these stand on.  Yields the rays cast so far."""
         offsets = np.broadcast_to(offset, (len(rows), 2))
         found = []
         for some in _pieces(len(rows)):
             texels, triangles = self._index[rows[some]], self._triangles[rows[some]]
             found.append(self.mesh.places(texels, triangles, offsets[some]))
+            yield self.cast
         return joined(found)
 
     def follow(self, places: Places, share: float) -> Generator[int, None, tuple[Array, Mask]]:
@@ -68,16 +81,8 @@ class Tracer:
         buried.  Yields the rays cast so far."""
         rays = max(FEWEST, round(self.rays * share))
         origins, normals = yield from self._starts(places)
-        order = morton_order(origins.astype(np.float64))
+        order, found = yield from self.along(origins, normals, rays)
         origins, normals = origins[order], normals[order]
-        before, steps = self.cast, self._trace(origins, normals, rays)
-        while True:
-            try:
-                self.cast = before + next(steps)
-            except StopIteration as stop:
-                found: Array = stop.value
-                break
-            yield self.cast
         if not len(found):
             return found, np.zeros(0, bool)
         transfer = found[:, : self._order**2]
@@ -126,11 +131,14 @@ class Tracer:
         """What is found (M, K) at the texels ``rows`` (M,) with ``share`` of the rays, and which of
         them are buried.  Those that are ``sharp`` (M,) start a part of their rays from each of
         QUARTERS, of which those that are seen count."""
-        values, hidden = yield from self.follow(self.at(rows[~sharp], np.zeros(2)), share)
+        places = yield from self.at(rows[~sharp], CENTRE)
+        values, hidden = yield from self.follow(places, share)
         if not sharp.any():
             return values, hidden
-        places = joined([self.at(rows[sharp], offset) for offset in QUARTERS])
+        quarters = np.repeat(QUARTERS, int(sharp.sum()), axis=0)
+        places = yield from self.at(np.tile(rows[sharp], len(QUARTERS)), quarters)
         found, unseen = yield from self.follow(places, share / len(QUARTERS))
+        self._inside.append((places[~unseen], found[~unseen]))
         weights = (~unseen).astype(np.float32).reshape(len(QUARTERS), -1, 1)
         weights[:, (weights == 0).all(axis=0)[:, 0]] = 1
         sums = (found.reshape(len(QUARTERS), weights.shape[1], -1) * weights).sum(axis=0)
@@ -143,7 +151,7 @@ class Tracer:
 
     def are_buried(self, rows: Index) -> Generator[int, None, Mask]:
         """Which of the texels ``rows`` (M,) are buried.  Yields the rays cast so far."""
-        return (yield from self.glance(self.at(rows, np.zeros(2))))
+        return (yield from self.glance((yield from self.at(rows, CENTRE))))
 
     def pushed_out(self, rows: Index, region: Index) -> Generator[int, None, tuple[Index, Places]]:
         """Those of the texels ``rows`` (M,) whose centres are buried that have another place half a

@@ -64,12 +64,33 @@ class Found:
     traced: Traced
 
 
-class Tracer:
+class Caster:
+    """Has places traced; ``cast`` is the rays so far."""
+
+    def __init__(self, trace: Trace) -> None:
+        self._trace, self.cast = trace, 0
+
+    def along(
+        self, origins: Array, normals: Array, rays: int
+    ) -> Generator[int, None, tuple[Index, Array]]:
+        """What is found (M, K) with ``rays`` a place, the places in the ``order`` (M,) of a Z
+        curve, for the processor's caches; and that order.  Yields the rays cast so far."""
+        order = morton_order(origins.astype(np.float64))
+        before, steps = self.cast, self._trace(origins[order], normals[order], rays)
+        while True:
+            try:
+                self.cast = before + next(steps)
+            except StopIteration as stop:
+                return order, stop.value
+            yield self.cast
+
+
+class Tracer(Caster):
     """Traces points and places inside of triangles, and keeps what was found."""
 
     def __init__(self, points: Points, parts: Parts, trace: Trace, rays: int) -> None:
-        self.points, self.parts, self._trace, self.rays = points, parts, trace, rays
-        self.cast = 0
+        super().__init__(trace)
+        self.points, self.parts, self.rays = points, parts, rays
         self._homes = parts.homes()
         self._found: list[Traced] = []
 
@@ -89,16 +110,8 @@ class Tracer:
         starting, facing = starts(self.parts.surface, corners, self.points.normals, inside)
         origins = _rows(self.points.origins[point], starting)
         normals = _rows(self.points.normals[point], facing)
-        order = morton_order(origins.astype(np.float64))
+        order, values = yield from self.along(origins, normals, rays)
         origins, normals = origins[order], normals[order]
-        before, steps = self.cast, self._trace(origins, normals, rays)
-        while True:
-            try:
-                self.cast = before + next(steps)
-            except StopIteration as stop:
-                values: Array = stop.value
-                break
-            yield self.cast
         numbers = np.concatenate([point, np.full(len(inside), -1)])[order]
         places = joined([self._homes[point], inside])[order]
         noisier = np.full(len(order), (self.rays / rays) ** FALL)
