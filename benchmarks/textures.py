@@ -2,8 +2,8 @@
 texel.
 
 Relative RMS of the transfer at random places of the surface, read bilinearly as a GPU does it,
-against a reference with many rays; a few of them make half of a scan's RMS, so there have to be
-many.  Jumps are those of bilinear reads at random places of seams, over the same figure of the
+against a reference with many rays; a few of them make half of a scan's RMS, so
+``--places 16000`` says more of one.  Jumps are those of bilinear reads at random places of seams, over the same figure of the
 steps from texel to texel inside of charts.  Places inside of other things, which nobody sees, don't
 count.  Prints a table in Markdown; ``--pictures`` looks at it.
 """
@@ -267,8 +267,8 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=1024)
     parser.add_argument("--rays", type=int, default=256)
     parser.add_argument("--tolerance", type=float, default=0.01, help="0: as many rays as given")
-    parser.add_argument("--places", type=int, default=16000)
-    parser.add_argument("--reference", type=int, default=4096, help="rays a place")
+    parser.add_argument("--places", type=int, default=1000)
+    parser.add_argument("--reference", type=int, default=16384, help="rays a place")
     parser.add_argument("--pictures", type=Path, help="folder to draw what is seen into")
     given = parser.parse_args()
     print(HEADER)
