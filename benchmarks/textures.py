@@ -2,10 +2,10 @@
 texel.
 
 Relative RMS of the transfer at random places of the surface, read bilinearly as a GPU does it,
-against a reference with many rays; a few of them make half of a scan's RMS, so
-``--places 16000`` says more of one.  Jumps are those of bilinear reads at random places of seams, over the same figure of the
-steps from texel to texel inside of charts.  Places inside of other things, which nobody sees, don't
-count.  Prints a table in Markdown; ``--pictures`` looks at it.
+against a reference with many rays; a few of them make half of a scan's RMS, so ``--places 16000``
+says more of one.  Jumps are those of bilinear reads at random places of seams, over the same figure
+of the steps from texel to texel inside of charts.  Places inside of other things, which nobody
+sees, don't count.  Prints a table in Markdown; ``--pictures`` looks at it.
 """
 
 import argparse
