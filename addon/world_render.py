@@ -175,12 +175,12 @@ def _check_image(node: bpy.types.Node) -> None:
 
 def _decode(image: bpy.types.Image) -> None:
     """BakeError when the engine can't read the file of ``image``: Blender's reader may crash."""
-    with engine.job_folder() as folder:
+    with engine.job_folder() as folder, engine.job_folder() as work:
         if image.packed_file:
             path, title = world_images.unpacked(image, folder), image.name
         else:
             path, title = world_images.path(image), ""
-        engine.run_light(LightSource(image=str(path), title=title))
+        engine.run_light(LightSource(image=str(path), title=title), work)
 
 
 def _load(path: Path) -> Array:

@@ -168,11 +168,11 @@ def test_a_bake_that_cannot_be_written_changes_nothing(scene, tmp_path, monkeypa
     before = snapshot.of(scene), scene.world, set(bpy.data.images), set(bpy.data.worlds)
     attach, calls = materials.attach, []
 
-    def fail(material, layout, image):
+    def fail(material, *look):
         calls.append(material)
         if len(calls) == 2:
             raise RuntimeError("the second material")
-        attach(material, layout, image)
+        attach(material, *look)
 
     monkeypatch.setattr(materials, "attach", fail)
     with pytest.raises(RuntimeError, match="the second material"):

@@ -99,10 +99,10 @@ def test_a_white_world_lights_an_open_white_plane_white():
     np.testing.assert_allclose(transfer, expected, atol=1e-5)
 
 
-def test_a_missing_image_is_one_sentence_from_the_child():
+def test_a_missing_image_is_one_sentence_from_the_child(tmp_path):
     light = jobs.LightSource(image="/nowhere/sky.exr")
     with pytest.raises(BakeError, match=r"sky\.exr"):
-        engine.run_light(light)
+        engine.run_light(light, tmp_path)
 
 
 def test_a_fault_of_ours_keeps_its_traceback(tmp_path, job):
@@ -184,6 +184,7 @@ def test_the_child_ignores_what_lies_in_the_working_folder(job, tmp_path, monkey
     (tmp_path / "json.py").write_text("raise SystemExit(3)")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    image_sh = engine.run_light(jobs.LightSource())
-    assert image_sh.shape == (25, 3)
+    (tmp_path / "work").mkdir()
+    results = engine.run_light(jobs.LightSource(), tmp_path / "work")
+    assert results.image_sh.shape == (25, 3)
     assert Path("json.py").exists()

@@ -140,7 +140,9 @@ def test_a_half_float_file_with_every_fault(tmp_path, record_property):
 def test_the_engine_reads_a_faulty_file_in_its_own_process(tmp_path, record_property):
     """The same file through the engine's process: the same bits."""
     pixels, mended, _ = broken_halves()
-    got = engine.run_light(LightSource(image=half_exr(tmp_path / "faults.exr", pixels)))
+    source = LightSource(image=half_exr(tmp_path / "faults.exr", pixels))
+    with engine.job_folder() as folder:
+        got = engine.run_light(source, folder).image_sh
     expected = lat_long.project(mended.astype(np.float32), 5)
     record_property("measured", relative(got, expected))
     np.testing.assert_array_equal(got, expected)
