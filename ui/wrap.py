@@ -16,8 +16,9 @@ def box(layout: bpy.types.UILayout, context: bpy.types.Context, icon: str, sente
 
 def lines(layout: bpy.types.UILayout, context: bpy.types.Context, sentence: str) -> None:
     """``sentence`` without a box, in as many lines as it needs."""
-    for line in textwrap.wrap(sentence, letters(context, 50), subsequent_indent="   "):
-        layout.label(text=line)
+    whole = sentence.replace(" %", "\u00a0%")  # a number keeps its unit
+    for line in textwrap.wrap(whole, letters(context, 50), subsequent_indent="   "):
+        layout.label(text=line.replace("\u00a0", " "))
 
 
 def letters(context: bpy.types.Context, margin: int) -> int:

@@ -54,7 +54,7 @@ def test_everything_asked_for_is_written_and_nothing_else(runs, tmp_path):
     assert cli.command(options_for(tmp_path)) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(NAMES.values())
     report = json.loads((tmp_path / NAMES["report"]).read_text("utf-8"))
-    assert report == {"objects": ["Ünï"], "notes": [], "lamps_left_out": []}
+    assert report == {"objects": ["Ünï"], "notes": [], "lamps_left_out": [], "gltf": []}
     with bpy.data.libraries.load(str(tmp_path / NAMES["save"])) as (stored, _):
         assert stored.objects == ["Cube"]
 
