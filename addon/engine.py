@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -72,15 +72,7 @@ def run(job: jobs.Job, folder: Path) -> Generator[jobs.Progress, None, Results]:
     RuntimeError with its traceback where the fault is ours.  The child starts while the job is
     still written, and waits for the end of its standard input.
     """
-    process = _start(folder)
-    try:
-        jobs.write(job, folder)
-        _close_pipe(process)
-        yield from _watch(process, folder)
-    finally:
-        _close_pipe(process)
-        process.kill()
-        process.wait()
+    yield from _answered(folder, lambda: jobs.write(job, folder))
     return read_results(folder)
 
 
@@ -101,17 +93,22 @@ def run_light(
 def compressed(request: Request) -> list[Coded]:
     """The answer to ``request``; waits for the child, and fails as ``run`` does."""
     with job_folder() as folder:
-        process = _start(folder)
-        try:
-            write_request(request, folder)
-            _close_pipe(process)
-            for _ in _watch(process, folder):
-                pass
-        finally:
-            _close_pipe(process)
-            process.kill()
-            process.wait()
+        for _ in _answered(folder, lambda: write_request(request, folder)):
+            pass
         return read_answer(folder)
+
+
+def _answered(folder: Path, write: Callable[[], None]) -> Iterator[jobs.Progress]:
+    """Yield the progress of a child in ``folder`` that does what ``write`` puts there."""
+    process = _start(folder)
+    try:
+        write()
+        _close_pipe(process)
+        yield from _watch(process, folder)
+    finally:
+        _close_pipe(process)
+        process.kill()
+        process.wait()
 
 
 def _start(folder: Path) -> subprocess.Popen[bytes]:

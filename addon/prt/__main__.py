@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from . import job as jobs
-from .compression import request
 from .errors import BakeError, no_room
 from .results import write_results
 from .run import run
@@ -50,9 +49,12 @@ def _guarded(folder: Path, progress: TextIO) -> int:
 def _run(folder: Path, progress: TextIO) -> None:
     if not jobs.is_written(folder):
         sys.stdin.read()
-    if request.is_written(folder):
-        request.answer(folder)
-        return
+    if not jobs.is_written(folder):
+        from .compression import request  # which a bake need not wait for
+
+        if request.is_written(folder):
+            request.answer(folder)
+            return
     steps = run(jobs.read(folder))
     last, phase = 0.0, ""
     while True:

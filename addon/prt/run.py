@@ -18,7 +18,7 @@ from .job import Job, Progress, Receiver, content_hash
 from .light.world import World
 from .meter import Meter
 from .reflecting import reflections
-from .results import Atlas, ReceiverResult, Reflections, Results
+from .results import Atlas, ReceiverResult, Results
 from .surface.points import Points, distinct_points
 from .surface.samples import Places
 from .tracing import rays
@@ -41,7 +41,6 @@ def run(job: Job) -> Generator[Progress, None, Results]:
     with meter.phase("light"):
         image_sh = world.image_sh
     scene = Scene(job, world, cache, meter)
-    reflected: Reflections | None = None
     receivers: Sequence[ReceiverResult] = ()
     atlases: list[Atlas] = []
     if job.kind == "bake":
@@ -52,11 +51,10 @@ def run(job: Job) -> Generator[Progress, None, Results]:
             report["objects"][index]["predicted"] = choosing.report(choice)
         receivers = _with_needed_bands(scene, receivers, report["objects"])
         atlases = yield from _painted(scene, sheets, receivers)
-        reflected = yield from reflections(scene.job, world, cache, meter)
     elif job.kind == "verify":
         yield from _verify(scene, report["objects"])
-    else:
-        reflected = yield from reflections(job, world, cache, meter)
+    is_shown = job.kind != "verify"
+    reflected = (yield from reflections(job, world, cache, meter)) if is_shown else None
     if job.light is not None:
         report["light"] = world.report
     report.update(_run_report(job, meter))

@@ -27,6 +27,18 @@ def pixel_centres(scene):
     return np.stack(np.meshgrid(x, y), axis=-1)
 
 
+def show_exit(scene, material):
+    """Show the Exit Radiance of the group in a pass of its own, kept in float; the group."""
+    if "Exit" not in scene.view_layers[0].aovs:
+        scene.view_layers[0].aovs.add().name = "Exit"
+    tree = material.node_tree
+    group = next(node for node in tree.nodes if node.type == "GROUP")
+    output = tree.nodes.new("ShaderNodeOutputAOV")
+    output.aov_name = "Exit"
+    tree.links.new(group.outputs["Exit Radiance"], output.inputs["Color"])
+    return group
+
+
 def render(scene, folder: Path, engine=EEVEE, samples=1):
     """Channels of the picture by name, "Combined.R" ..., each (H, W) float32, top row first."""
     set_up(scene, engine, samples)

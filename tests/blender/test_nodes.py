@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bakes import place, principled, quad, random_bake, write
 from mathutils import Matrix
-from pictures import colour, look_down, pixel_centres, render
+from pictures import colour, look_down, pixel_centres, render, show_exit
 from prt_baker.addon import carrier, stamp, writeback
 from prt_baker.addon.light_state import LightState
 from prt_baker.addon.prt import sh
@@ -34,17 +34,6 @@ def light():
     baked[0] = 1
     turned = sh.rotate(baked, Matrix.Rotation(radians(TURN), 3, "Z")) * TINT
     return LightState("", turned, turned, baked, peaks=PEAKS)
-
-
-def aov(scene, material):
-    """Show the group's Exit Radiance in a pass of its own, which EEVEE keeps in float."""
-    if "Exit" not in scene.view_layers[0].aovs:
-        scene.view_layers[0].aovs.add().name = "Exit"
-    tree = material.node_tree
-    group = next(node for node in tree.nodes if node.type == "GROUP")
-    output = tree.nodes.new("ShaderNodeOutputAOV")
-    output.aov_name = "Exit"
-    tree.links.new(group.outputs["Exit Radiance"], output.inputs["Color"])
 
 
 def interpolated(obj, domain, values, centres):
@@ -118,7 +107,7 @@ def test_eevee_shows_albedo_times_exit_radiance(scene, light, tmp_path, layouts)
             for seed, (obj, domain) in enumerate(objects_of(scene, layout, row))
         ]
         writeback.write(scene, baked, layout)
-        aov(scene, baked[0][0].data.materials[0])
+        show_exit(scene, baked[0][0].data.materials[0])
         cases += baked
     by_modifier = [mark.by_modifier for _, _, mark in cases]
     assert by_modifier == [False, False, True, True, True] * len(layouts)

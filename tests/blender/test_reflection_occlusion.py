@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import test_reflections as reflecting
 from bakes import constant_bake, principled
-from pictures import colour, look_down, render
+from pictures import colour, look_down, render, show_exit
 from prt_baker.addon import reflections, writeback
 from prt_baker.addon.light_state import LightState
 from prt_baker.addon.prt.layout import Layout
@@ -34,7 +34,7 @@ def test_the_share_of_a_lobe_that_is_seen_is_reflected(scene, made, reflected, t
     flat, turn = reflecting.FLAT, reflecting.rows(reflecting.TURN)
     writeback.set_light(LightState("", flat, flat, flat, True, (), turn, reflecting.STRENGTH))
     for material in {obj.active_material for obj, _, _ in cases}:
-        reflecting.show_exit(scene, material)
+        show_exit(scene, material)
     look_down(scene, len(cases), 1)
     scene.render.resolution_x, scene.render.resolution_y = 30 * len(cases), 30
     shown = colour(render(scene, tmp_path), "Exit")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bakes import constant_bake, principled, quad, shader
 from mathutils import Matrix, Vector
-from pictures import colour, look_down, render
+from pictures import colour, look_down, render, show_exit
 from prt_baker.addon import (
     bake,
     light_state,
@@ -127,18 +127,6 @@ def interpolated(place, triangles, vertices, smooth):
     ]
     normal = best @ smooth[inside]
     return normal / np.linalg.norm(normal)
-
-
-def show_exit(scene, material):
-    """The group's Exit Radiance in a pass of its own."""
-    if "Exit" not in scene.view_layers[0].aovs:
-        scene.view_layers[0].aovs.add().name = "Exit"
-    tree = material.node_tree
-    group = next(node for node in tree.nodes if node.type == "GROUP")
-    output = tree.nodes.new("ShaderNodeOutputAOV")
-    output.aov_name = "Exit"
-    tree.links.new(group.outputs["Exit Radiance"], output.inputs["Color"])
-    return group
 
 
 def by_formula(made, surface, normals, bent=True, compensated=True):

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 import textured
 from bakes import place, principled, quad
-from pictures import colour, look_down, pixel_centres, render
+from pictures import colour, look_down, pixel_centres, render, show_exit
 from prt_baker.addon import stamp, writeback
 from prt_baker.addon.light_state import LightState
 from prt_baker.addon.prt.layout import Layout
 from prt_baker.addon.prt.results import ReceiverResult
-from test_nodes import ALBEDO, aov, exit_radiance, light  # noqa: F401
+from test_nodes import ALBEDO, exit_radiance, light  # noqa: F401
 
 SIZE = 8
 LAYOUTS = [
@@ -42,7 +42,7 @@ def test_eevee_shows_albedo_times_exit_radiance(scene, light, tmp_path):  # noqa
         objects = objects_of(scene, row)
         baked, _, values = textured.write(scene, tmp_path, layout, *objects, size=SIZE, seed=row)
         assert [mark.by_modifier for _, _, mark in baked] == [False, True, True, True]
-        aov(scene, objects[0].data.materials[0])
+        show_exit(scene, objects[0].data.materials[0])
         texels = ReceiverResult("", values[0], textured.NOTHING, values[1], values[2])
         cases += [(obj, texels) for obj in objects]
     shares = [1.0, 1.0, 0.0, 2.0] * len(LAYOUTS)
