@@ -59,8 +59,9 @@ def test_the_glb_is_compressed_to_the_error_asked_for(scene, asked, monkeypatch,
     def write(path, _names):
         chosen.append((scene.prt.gltf_compress, gltf_panel.wanted_error(scene)))
         Path(path).write_bytes(b"glTF")
-        gltf.REPORT[:] = [{"name": "Cube", "chosen": None, "tried": []}]
+        gltf.REPORT.append({"name": "Cube", "chosen": None, "tried": []})
 
+    monkeypatch.setattr(gltf, "REPORT", [])
     monkeypatch.setattr(gltf_export, "write", write)
     report = tmp_path / "report.json"
     for options in ([], ["--gltf-error", "2%", "--report", str(report)]):
