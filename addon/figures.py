@@ -11,6 +11,7 @@ PHASES = {
     "start": "Starting the engine",
     "light": "Reading the light",
     "prepare": "Preparing the scene",
+    "horizon": "Finding what can be skipped",
     "effort": "Finding how many rays it takes",
     "choose": "Choosing between vertices and texture",
     "unwrap": "Unwrapping",

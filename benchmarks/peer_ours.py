@@ -10,7 +10,11 @@ from prt_baker.addon.prt import job as jobs
 from prt_baker.addon.prt.results import Results
 from scenes import Scene
 
-TRACING = ("effort", "transfer")  # the report's phases: what may be skipped, and the rays
+TRACING = (
+    "horizon",
+    "effort",
+    "transfer",
+)  # the report's phases: what may be skipped, and the rays
 
 
 @dataclass(frozen=True)

@@ -137,12 +137,20 @@ def bake(scene: Scene, index: int) -> Generator[Progress, None, Baked]:
 
 
 class Bake(ABC, Generic[What]):
-    """The bake of one receiver, without bounces.  Where its tape is known only the map's own rays
-    are traced.  What the rays meet is in ``met`` where a ``keeper`` is to keep it, for the places
-    that were traced, one after the other."""
+    """The bake of one receiver at about so many ``expected`` places, by default its points, without
+    bounces.  Where its tape is known only the map's own rays are traced.  What the rays meet is in
+    ``met`` where a ``keeper`` is to keep it, for the places that were traced, one after the other.
+    """
 
     def __init__(
-        self, scene: Scene, index: int, points: Points, tape: Tape, keeper: Keeper | None = None
+        self,
+        scene: Scene,
+        index: int,
+        points: Points,
+        tape: Tape,
+        keeper: Keeper | None = None,
+        *,
+        expected: int | None = None,
     ) -> None:
         self._scene, self._points, self._tape, self._keeper = scene, points, tape, keeper
         self.met: list[Gathered] = []
@@ -151,11 +159,14 @@ class Bake(ABC, Generic[What]):
         self._counts: Counts = Counter()
         self._before = dict(scene.meter.seconds)
         scene.world.begin()
-        with scene.meter.phase("prepare"):
-            horizon = scene.surroundings.horizon(self._receiver, points)
+        self._expected = len(points.origins) if expected is None else expected
+        with scene.meter.phase("horizon"):
+            horizon = scene.surroundings.horizon(
+                self._receiver, points, self._expected, self._settings.rays
+            )
         self._shortcuts = Shortcuts(horizon, known=tape.known)
         self._effort = Effort(self._settings.rays)
-        self._pilots, self._expected = points, len(points.origins)
+        self._pilots = points
         self._error, self._backs = 0.0, 0
 
     def solve(self) -> Generator[Progress, None, What]:

@@ -20,6 +20,7 @@ class Meter:
     done: float = 0.0
     rays: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
+    _inner: list[float] = field(default_factory=list)  # seconds of phases inside of open ones
 
     @property
     def elapsed(self) -> float:
@@ -28,10 +29,14 @@ class Meter:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Count the seconds inside as ``name``'s."""
+        """Count the seconds inside as ``name``'s, but those of a phase within it."""
         since = time.perf_counter()
+        self._inner.append(0.0)
         yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - since
+        spent = time.perf_counter() - since
+        self.seconds[name] = self.seconds.get(name, 0.0) + spent - self._inner.pop()
+        if self._inner:
+            self._inner[-1] += spent
 
     def follow(
         self, phase: str, steps: Generator[int, None, Value], share: float, expected: float

@@ -157,10 +157,10 @@ class TextureWork(Bake[Found]):
     too, so no tape of their rays could be played under another one."""
 
     def __init__(self, scene: Scene, index: int, points: Points, sheet: Sheet, uvs: Array) -> None:
-        super().__init__(scene, index, points, Tape(scene.cache, ""))
+        expected = max(1, round(TRACED * USED * sheet.size**2 / len(sheet.uvs)))
+        super().__init__(scene, index, points, Tape(scene.cache, ""), expected=expected)
         self._uvs, self._size = uvs, sheet.size
         self._pilots = pilot_points(self._receiver, seed=self._settings.seed)
-        self._expected = max(1, round(TRACED * USED * sheet.size**2 / len(sheet.uvs)))
         self.texels = np.empty(0, np.int64)
 
     def _found(self) -> Generator[int, None, Found]:

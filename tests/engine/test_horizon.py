@@ -32,7 +32,8 @@ def horizon_of(receiver, vertices, triangles, starts=None):
     """The points and what is known of their surroundings."""
     where = points.distinct_points(receiver)
     starts = [0, len(triangles)] if starts is None else starts
-    return where, surroundings.Surroundings(vertices, triangles, starts).horizon(receiver, where)
+    around = surroundings.Surroundings(vertices, triangles, starts)
+    return where, around.horizon(receiver, where, len(where.origins), 256)
 
 
 def traced(where, vertices, triangles, count=256, **shortcuts):

@@ -63,7 +63,7 @@ def test_closing_ends_the_children_at_once(monkeypatch):
     since = time.perf_counter()
     steps.close()
     assert time.perf_counter() - since < 1
-    assert len(started) == 2
+    assert len(started) >= 2  # more where one was slow and was replaced
     assert all(process.poll() is not None for process in started)
 
 

@@ -9,6 +9,7 @@ from .points import element_triangles
 Float = npt.NDArray[np.float64]
 
 SLACK = 1e-6  # of the size: what float32 leaves of a flat side
+SLACK_OF_AREA = 1e-4
 PLANES = 32  # tangent planes that are tried before the edges are looked at
 
 
@@ -23,7 +24,13 @@ def is_convex(receiver: Receiver) -> bool:
         return False
     positions = np.asarray(receiver.vertices, np.float64)
     size = float(np.ptp(positions, axis=0).max())
-    if not _holds_below(positions, receiver, size * SLACK):
+    # a point without a sound normal takes its face's
+    normals = np.nan_to_num(np.asarray(receiver.normals, np.float64), posinf=0, neginf=0)
+    if not (
+        _holds_below(positions, receiver, normals, size * SLACK)
+        and _faces_all_ways(positions[receiver.triangles])
+        and _keeps_to_its_faces(positions, receiver, normals, size * SLACK)
+    ):
         return False
     places, vertex = np.unique(receiver.vertices, axis=0, return_inverse=True)
     triangles = vertex.reshape(-1)[receiver.triangles]
@@ -36,18 +43,25 @@ def is_convex(receiver: Receiver) -> bool:
     )
 
 
-def _holds_below(positions: Float, receiver: Receiver, slack: float) -> bool:
-    """Whether all lies below the tangent planes at some of the elements, and what shares a
-    triangle with an element below its own."""
-    elements = element_triangles(receiver)
-    # a point without a sound normal takes its face's
-    normals = np.nan_to_num(np.asarray(receiver.normals, np.float64), posinf=0, neginf=0)
+def _holds_below(positions: Float, receiver: Receiver, normals: Float, slack: float) -> bool:
+    """Whether all lies below the tangent planes at some of the elements."""
+    elements = element_triangles(receiver).reshape(-1)
     chosen = np.linspace(0, elements.size - 1, PLANES).astype(np.int64)
-    some = normals[elements.reshape(-1)[chosen]]
+    some = normals[elements[chosen]]
     heights = np.einsum("ec,ec->e", some, positions[receiver.triangles.reshape(-1)[chosen]])
-    if ((some @ positions.T).max(axis=1) > heights + slack).any():
-        return False
-    corners = positions[receiver.triangles]
+    return bool(((some @ positions.T).max(axis=1) <= heights + slack).all())
+
+
+def _faces_all_ways(corners: Float) -> bool:
+    """Whether the triangles' areas times their normals add up to nothing, as on every closed
+    surface."""
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return bool(np.abs(cross.sum(axis=0)).max() <= SLACK_OF_AREA * np.abs(cross).sum())
+
+
+def _keeps_to_its_faces(positions: Float, receiver: Receiver, normals: Float, slack: float) -> bool:
+    """Whether what shares a triangle with an element lies below its tangent plane."""
+    elements, corners = element_triangles(receiver), positions[receiver.triangles]
     for k in range(3):
         sides = corners[:, [(k + 1) % 3, (k + 2) % 3]] - corners[:, k, None]
         if (np.einsum("fsc,fc->fs", sides, normals[elements[:, k]]) > slack).any():

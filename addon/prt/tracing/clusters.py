@@ -58,6 +58,17 @@ class Clusters:
         return self[~np.isin(self.parts, parts)]
 
 
+def lowest(corners: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """The least (F, ...) of the three corners of triangles (F, 3, ...): numpy is slow over a short
+    axis."""
+    return np.asarray(np.minimum(np.minimum(corners[:, 0], corners[:, 1]), corners[:, 2]))
+
+
+def highest(corners: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """The largest (F, ...) of the three corners of triangles (F, 3, ...)."""
+    return np.asarray(np.maximum(np.maximum(corners[:, 0], corners[:, 1]), corners[:, 2]))
+
+
 def _keys(
     vertices: npt.NDArray[np.floating], triangles: npt.NDArray[np.int32]
 ) -> npt.NDArray[np.uint16]:
@@ -92,18 +103,18 @@ def _bounds(corners: Float, starts: Index) -> tuple[Float, ...]:
     axes = np.add.reduceat(cross, starts)
     length = np.linalg.norm(axes, axis=1, keepdims=True)
     axes = np.where(length > 0, axes / np.where(length > 0, length, 1), [0.0, 0.0, 1.0])
-    low = np.minimum.reduceat(corners.min(axis=1), starts)
-    high = np.maximum.reduceat(corners.max(axis=1), starts)
+    low = np.minimum.reduceat(lowest(corners), starts)
+    high = np.maximum.reduceat(highest(corners), starts)
     centres = 0.5 * (low + high)
     from_centre = corners - np.repeat(centres, counts, axis=0)[:, None]
     along = np.einsum("fkc,fc->fk", from_centre, np.repeat(axes, counts, axis=0))
     squared = np.einsum("fkc,fkc->fk", from_centre, from_centre)
-    across = np.maximum.reduceat((squared - along**2).max(axis=1), starts)
+    across = np.maximum.reduceat(highest(squared - along**2), starts)
     return (
         centres,
         axes,
-        np.minimum.reduceat(along.min(axis=1), starts),
-        np.maximum.reduceat(along.max(axis=1), starts),
+        np.minimum.reduceat(lowest(along), starts),
+        np.maximum.reduceat(highest(along), starts),
         np.sqrt(np.maximum(across, 0)),
-        np.sqrt(np.maximum.reduceat(squared.max(axis=1), starts)),
+        np.sqrt(np.maximum.reduceat(highest(squared), starts)),
     )

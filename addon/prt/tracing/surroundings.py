@@ -8,7 +8,7 @@ import numpy.typing as npt
 from ..job import Receiver
 from ..surface.convex import is_convex
 from ..surface.points import Points
-from .clusters import Clusters, Float, Index
+from .clusters import Clusters, Float, Index, highest, lowest
 from .hemisphere import GROUP
 from .horizon import Horizon
 
@@ -16,6 +16,7 @@ WORTH = 0.05  # of the rays have to be saved by a sample of the blocks
 SAMPLE, BLOCK = 64, 64  # blocks, and their points
 LOOKED_AT = 2  # every second one of them, as its horizon is dear among many occluders
 FLAT = 1e-4
+LOOK_RAYS, CLUSTER_RAYS = 48, 12  # to the sky, that take as long as a place or triangle takes
 REACH_BLOCKS = 256
 
 
@@ -38,17 +39,18 @@ class Surroundings:
         places = self._vertices[self._triangles]
         filled = np.flatnonzero(np.diff(self._starts) > 0)
         boxes = np.full((len(self._starts) - 1, 6), np.nan)
-        boxes[filled, :3] = np.minimum.reduceat(places.min(axis=1), self._starts[filled])
-        boxes[filled, 3:] = np.maximum.reduceat(places.max(axis=1), self._starts[filled])
+        boxes[filled, :3] = np.minimum.reduceat(lowest(places), self._starts[filled])
+        boxes[filled, 3:] = np.maximum.reduceat(highest(places), self._starts[filled])
         return boxes
 
-    def horizon(self, receiver: Receiver, points: Points) -> Horizon | None:
-        """What rises above the tangent planes of ``points`` of ``receiver``; None where a look at
-        some of them says that knowing it would hardly save a ray.
+    def horizon(self, receiver: Receiver, points: Points, places: int, rays: int) -> Horizon | None:
+        """What rises above the tangent planes of ``points`` of ``receiver``, of whose surface so
+        many ``places`` are to have ``rays`` each; None where a look at some of them says that
+        knowing it would hardly save a ray, or less time than it takes.
 
         Only a flat surface or a convex body does not stand in its own light everywhere.
         """
-        if not len(self._triangles):
+        if not len(self._triangles) or not self._pays(places, rays):
             return None
         rows = _sample(points)
         convex = is_convex(receiver)
@@ -60,7 +62,12 @@ class Surroundings:
         found = Horizon(clusters)
         groups = rows[::LOOKED_AT, : min(GROUP, rows.shape[1])]
         saved = found.open_shares(points.origins[groups], points.normals[groups]).mean()
-        return found if saved > WORTH else None
+        return found if saved > WORTH and self._pays(places, saved * rays) else None
+
+    def _pays(self, places: int, saved: float) -> bool:
+        """Whether so many rays ``saved`` a place take longer than finding them."""
+        clusters = 0 if "_clusters" in vars(self) else CLUSTER_RAYS * len(self._triangles)
+        return places * (saved - LOOK_RAYS) > clusters
 
     def reachable(self, points: Points) -> Index:
         """The parts, ascending, that rise above the tangent plane of any of ``points``: nothing

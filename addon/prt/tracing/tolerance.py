@@ -74,12 +74,13 @@ def effort(
     """
     if not len(points.origins):
         return Effort(FEWEST if settings.tolerance else settings.rays)
-    pilot = _Pilot(occlusion, settings, shortcuts)
+    a_glance = not settings.tolerance  # whose points have no neighbours to share a horizon with
+    pilot = _Pilot(occlusion, settings, Shortcuts() if a_glance else shortcuts)
     few = int(np.clip(len(points.origins) * PILOT_SHARE, *PILOT_POINTS))
-    some = _some(points, few if settings.tolerance else GLANCE)
+    some = _some(points, GLANCE if a_glance else few)
     found = yield from pilot.transfer(some, PILOT_RAYS)
     error = pilot.error(some, found, PILOT_RAYS)
-    if not settings.tolerance:
+    if a_glance:
         noise = error * (PILOT_RAYS / settings.rays) ** FALL
         return Effort(settings.rays, noise, 0, pilot.cast)
     needed = yield from _needed(pilot, some, found, error, settings.tolerance)
