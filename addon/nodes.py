@@ -83,7 +83,7 @@ def _light(tree: bpy.types.NodeTree, light: LightState) -> bool:
     changed = False
     named = [*_values(layout_of(tree), light)]
     if tree.get(REFLECTED) is not None:
-        named += reflection_nodes.values(light, tree)
+        named += reflection_nodes.values(light, tree, layout_of(tree))
     for name, value in named:
         socket = tree.nodes[name].inputs[1]
         if not np.array_equal(socket.default_value, value):
@@ -140,7 +140,9 @@ def _fill(
         shown = albedo.outputs[0]
     else:
         inputs = {socket.name: socket for socket in inside.outputs}
-        light = reflection_nodes.Reflected(reflected, stored.shadows, stored.share, stored.seen)
+        light = reflection_nodes.Reflected(
+            reflected, stored.shadows, stored.share, stored.seen, stored.transfer
+        )
         shown = reflection_nodes.exit_radiance(tree, inputs, white, light)
     _show(tree, shown, layout.order**2)
 
@@ -149,12 +151,14 @@ def _fill(
 class _Stored:
     """What comes of the floats of a bake: ``total``, the exit radiance of a white surface, not
     clamped yet; ``shadows``, the visibilities of the lights cut out, and what ``share`` of these
-    belongs to the light, None without; and ``seen``, the visibility's coefficients."""
+    belongs to the light, None without; ``seen``, the visibility's coefficients; and those of the
+    ``transfer``."""
 
     total: Socket
     shadows: list[Socket]
     share: Socket | None
     seen: list[Socket]
+    transfer: list[Socket]
 
 
 def _stored(tree: bpy.types.NodeTree, layout: Layout, image: bpy.types.Image | None) -> _Stored:
@@ -182,7 +186,8 @@ def _stored(tree: bpy.types.NodeTree, layout: Layout, image: bpy.types.Image | N
         lamps = _weighted_sum(tree, visibilities + taken, 2)
         share = _whether(tree, share)
         total = _plus(tree, lamps, share, total)
-    return _Stored(total, [socket for _, socket in visibilities], share, list(floats))
+    shadows, coefficients = ([socket for _, socket in one] for one in (visibilities, transfer))
+    return _Stored(total, shadows, share, list(floats), coefficients)
 
 
 def _interface(tree: bpy.types.NodeTree) -> None:

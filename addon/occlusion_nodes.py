@@ -1,9 +1,11 @@
-"""The nodes of ``prt/specular/occlusion.py``: how much of a reflection's lobe reaches the sky.
+"""The nodes of ``prt/specular/occlusion.py``: how much of what is reflected reaches the surface.
 
-    share = clamp(sum over l of z_l (sum over m of V_lm Y_lm(R)))
+    lobe = clamp(sum over l of z_l (sum over m of V_lm Y_lm(R)))
+    arriving = clamp(sum of T_i M_i / sum of O_i Y_i(N))
 
-Each ``Y_lm`` is a polynomial in the height z of R times ``cos m phi`` or ``sin m phi``, which are
-polynomials in its x and y.
+Each ``Y_lm`` is a polynomial in the height z of its direction times ``cos m phi`` or ``sin m phi``,
+which are polynomials in x and y.  The nodes ``M0``, ``M1``, ... hold the light, ``O0``, ``O1``, ...
+the same times what ``open_factors`` says.
 """
 
 from collections.abc import Sequence
@@ -12,13 +14,14 @@ from math import factorial, pi, sqrt
 import bpy
 import numpy as np
 
+from .node_maths import Maths
 from .prt import sh
 
 Socket = bpy.types.NodeSocket
 Term = Socket | float
 
 
-def share(
+def lobe(
     tree: bpy.types.NodeTree,
     seen: Sequence[Socket],
     direction: Socket,
@@ -28,6 +31,39 @@ def share(
     z_2, ... (of as many bands or more) that reaches the sky, where ``seen`` are V_0, V_1, ..."""
     order = sh.order_of(len(seen))
     nodes = _Arithmetic(tree)
+    values = _basis(nodes, direction, order)
+    total: Term = 0.0
+    for band in range(order):
+        of_band: Term = 0.0
+        for i in range(sh.index(band, -band), sh.index(band, band) + 1):
+            of_band = nodes.plus(nodes.times(seen[i], values[i]), of_band)
+        total = nodes.plus(nodes.times(of_band, factors[band - 1] if band else 1.0), total)
+    return nodes.clamped(total)
+
+
+def arriving(tree: bpy.types.NodeTree, transfer: Sequence[Socket], normal: Socket) -> Socket:
+    """The share, 0 to 1, of an open surface's irradiance that arrives, a colour, where ``transfer``
+    are T_0, T_1, ..., numbers or colours, and ``normal`` is the one that it is baked for."""
+    values = _basis(_Arithmetic(tree), normal, sh.order_of(len(transfer)))
+    make = Maths(tree, 13)
+    sums: list[Socket] = []
+    for letter, factors in (("M", transfer), ("O", values)):
+        total: Socket | float = 0.0
+        for i, factor in enumerate(factors):
+            total = make.vector("MULTIPLY_ADD", factor, 0.0, total, name=f"{letter}{i}")
+        sums.append(total)
+    ratio = make.vector("DIVIDE", *sums)
+    bounded = make.vector("MAXIMUM", ratio, (0.0, 0.0, 0.0))
+    return make.vector("MINIMUM", bounded, (1.0, 1.0, 1.0))
+
+
+def open_factors(order: int) -> np.ndarray:
+    """What (n², 1) the harmonics at a normal are multiplied by in the open surface's transfer."""
+    return (sh.clamped_cosine(order) / pi)[sh.bands(order), None]
+
+
+def _basis(nodes: "_Arithmetic", direction: Socket, order: int) -> list[Term]:
+    """The harmonics (n²) of ``order`` bands in the unit ``direction``."""
     x, y, z = nodes.apart(direction)
     squared = nodes.times(z, z) if order > 2 else z
     circles: list[tuple[Term, Term]] = [(1.0, 0.0), (x, y)]
@@ -35,18 +71,15 @@ def share(
         c, s = circles[-1]
         cosine = nodes.plus(nodes.times(x, c), nodes.times(nodes.times(y, s), -1.0))
         circles.append((cosine, nodes.plus(nodes.times(x, s), nodes.times(y, c))))
-    total: Term = 0.0
+    values: list[Term] = [0.0] * order**2
     for band in range(order):
-        of_band: Term = 0.0
         for m in range(band + 1):
-            cosine, sine = circles[m]
-            term: Term = nodes.times(seen[sh.index(band, m)], cosine)
-            if m:
-                term = nodes.plus(nodes.times(seen[sh.index(band, -m)], sine), term)
             height = nodes.polynomial(_height(band, m), z, squared)
-            of_band = nodes.plus(nodes.times(term, height), of_band)
-        total = nodes.plus(nodes.times(of_band, factors[band - 1] if band else 1.0), total)
-    return nodes.clamped(total)
+            cosine, sine = circles[m]
+            values[sh.index(band, m)] = nodes.times(cosine, height)
+            if m:
+                values[sh.index(band, -m)] = nodes.times(sine, height)
+    return values
 
 
 def _height(band: int, m: int) -> list[float]:

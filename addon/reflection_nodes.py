@@ -7,7 +7,7 @@ world, and ``Lamp j shadow``, how much of its baked shadow is still there.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 
 import bpy
@@ -16,7 +16,10 @@ import numpy as np
 from . import occlusion_nodes, reflections
 from .light_state import LightState
 from .node_maths import Maths, Socket
-from .prt.specular import shading, sheet, table
+from .prt.job import Peak
+from .prt.layout import Layout
+from .prt.light import residual
+from .prt.specular import occlusion, shading, sheet, table
 from .prt.specular.sheet import Sheet
 
 INPUTS = (
@@ -36,10 +39,12 @@ IMAGE = "prt_reflected"  # of a group: what it reflects
 
 @dataclass(frozen=True)
 class View:
-    """How a surface is seen: its unit ``normal``, ``towards`` the viewer, the cosine ``n_v``, the
-    ``roughness`` and the ``direction`` that radiance is looked up in, all of the world."""
+    """How a surface is seen: its unit ``normal``, the ``own`` one that no map has bent, ``towards``
+    the viewer, the cosine ``n_v``, the ``roughness`` and the ``direction`` that radiance is looked
+    up in, all of the world."""
 
     normal: Socket
+    own: Socket
     towards: Socket
     n_v: Socket
     roughness: Socket
@@ -62,13 +67,14 @@ class Lobes:
 @dataclass(frozen=True)
 class Reflected:
     """What is reflected: the light in ``image``; of the lights cut out of it the baked ``shadows``,
-    as far as there are any, and the ``share`` of these that is theirs; and what is ``seen``, the
-    coefficients of the visibility, or none."""
+    as far as there are any, and the ``share`` of these that is theirs; what is ``seen``, the
+    coefficients of the visibility, or none; and those of the ``transfer``."""
 
     image: bpy.types.Image
     shadows: Sequence[Socket] = ()
     share: Socket | None = None
     seen: Sequence[Socket] = ()
+    transfer: Sequence[Socket] = ()
 
 
 def exit_radiance(
@@ -80,9 +86,9 @@ def exit_radiance(
     lobe = _lobes(tree, inputs, seen, image)
     make = Maths(tree, 12)
     lit = _radiance(tree, seen, image)
-    occlusion = _occlusion(tree, seen, light)
-    if occlusion is not None:
-        lit = make.vector("MULTIPLY", lit, occlusion)
+    share = _occlusion(tree, seen, light)
+    if share is not None:
+        lit = make.vector("MULTIPLY", lit, share)
     total = make.vector(
         "MULTIPLY_ADD", lobe.specular, lit, make.vector("MULTIPLY", lobe.below, white)
     )
@@ -112,7 +118,7 @@ def _view(tree: bpy.types.NodeTree, inputs: Inputs) -> View:
     mirrored = make.vector("REFLECT", make.vector("MULTIPLY", towards, -1.0), normal)
     bent = make.scalar("MULTIPLY", make.scalar("POWER", roughness, 4.0), inputs["Rough Look-up"])
     direction = make.vector("NORMALIZE", make.mixed(mirrored, normal, bent))
-    return View(normal, towards, make.clamped(facing), roughness, direction)
+    return View(normal, own, towards, make.clamped(facing), roughness, direction)
 
 
 def _radiance(tree: bpy.types.NodeTree, seen: View, image: bpy.types.Image) -> Socket:
@@ -176,12 +182,15 @@ def _highlights(
 
 
 def _occlusion(tree: bpy.types.NodeTree, seen: View, light: Reflected) -> Socket | None:
-    """How much of the lobe about the look-up direction reaches the sky; None where nothing is
-    known of that."""
+    """How much of what is reflected reaches the surface, a colour; None where nothing is known of
+    that."""
     if not light.seen:
         return None
     factors = lobe_factors(tree, seen.roughness, light.image)
-    return occlusion_nodes.share(tree, light.seen, seen.direction, factors)
+    lobe = occlusion_nodes.lobe(tree, light.seen, seen.direction, factors)
+    arriving = occlusion_nodes.arriving(tree, light.transfer, seen.own)
+    make = Maths(tree, 14)
+    return make.mixed(lobe, arriving, make.scalar("MULTIPLY", seen.roughness, seen.roughness))
 
 
 def lobe_factors(
@@ -209,20 +218,34 @@ def held(node: bpy.types.Node) -> float | tuple[float, ...]:
     return tuple(value) if hasattr(value, "__len__") else value
 
 
-def values(light: LightState, tree: bpy.types.NodeTree) -> Iterator[tuple[str, np.ndarray]]:
-    """What the named nodes of a group hold under ``light``, (3,) or () float32."""
-    image = tree[IMAGE]
-    known, rotation = reflections.of(image), np.array(light.rotation)
+def values(
+    light: LightState, tree: bpy.types.NodeTree, layout: Layout
+) -> Iterator[tuple[str, np.ndarray]]:
+    """What the named nodes of a group of ``layout`` hold under ``light``, (3,) or () float32."""
+    known, rotation = reflections.of(tree[IMAGE]), np.array(light.rotation)
     strength = np.array(light.strength)
     found = {f"Turn {k}": row for k, row in enumerate(rotation)}
     found["Strength"] = known.sheet.scale * strength
-    for j, peak in enumerate(known.peaks):
-        found[f"Lamp {j}"] = strength * peak.irradiance
-        found[f"Lamp {j} direction"] = found[f"Lamp {j} half"] = rotation.T @ peak.direction
+    peaks = [_in_world(peak, rotation, strength) for peak in known.peaks]
+    for j, peak in enumerate(peaks):
+        found[f"Lamp {j}"] = np.array(peak.irradiance)
+        found[f"Lamp {j} direction"] = found[f"Lamp {j} half"] = np.array(peak.direction)
         if f"Lamp {j} shadow" in tree.nodes:
             found[f"Lamp {j} shadow"] = np.array(light.shadow_share)
+    if layout.visibility_order:
+        rest = light.radiance_sh - residual.peaks_sh(tuple(peaks))
+        radiance = occlusion.brightened(rest, layout.order)
+        found |= {f"M{i}": value for i, value in enumerate(radiance)}
+        radiance = radiance * occlusion_nodes.open_factors(layout.order)
+        found |= {f"O{i}": value for i, value in enumerate(radiance)}
     for name, value in found.items():
         yield name, np.asarray(value, np.float32)
+
+
+def _in_world(peak: Peak, rotation: np.ndarray, strength: np.ndarray) -> Peak:
+    """``peak`` of the picture as the world has it."""
+    direction, irradiance = rotation.T @ peak.direction, strength * peak.irradiance
+    return replace(peak, direction=tuple(direction), irradiance=tuple(irradiance))
 
 
 def _places(

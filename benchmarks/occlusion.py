@@ -1,8 +1,9 @@
 """What the occlusion of reflections is worth: a ball before a black wall.
 
-Prints a table in Markdown.  What GGX lobes on the ball gather of an HDRI, ray by ray, against the
-same without the wall times a factor: 1, the share of the cosine-weighted sky that is seen (ambient
-occlusion), and the share of the lobe that the baked visibility sees.  Relative RMS over what
+Prints a table in Markdown.  What the ball reflects of an HDRI with its whole BRDF (white metal),
+texel by texel, against the same without the wall times a factor: 1, the share of the
+cosine-weighted sky that is seen (ambient occlusion), the share of the lobe that the baked
+visibility sees, and that share blended with the diffuse light's (order 3).  Relative RMS over what
 cameras on three sides see, the mean of Blender's HDRIs.
 """
 
@@ -15,12 +16,11 @@ import numpy as np
 from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.files import images
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.light import lat_long
 from prt_baker.addon.prt.light.projection import repair
-from prt_baker.addon.prt.specular import brdf
-from prt_baker.addon.prt.specular.occlusion import occlusion
+from prt_baker.addon.prt.specular import brdf, occlusion, shading
 from prt_baker.addon.prt.specular.sheet import zonal_factors
 from prt_baker.addon.prt.surface.points import Points
-from prt_baker.addon.prt.tracing.hemisphere import frames
 from prt_baker.addon.prt.tracing.rays import occlusion as embree
 from prt_baker.addon.prt.tracing.transfer import relative_rms, trace_all
 
@@ -30,11 +30,13 @@ import shapes
 Array = np.ndarray
 
 HDRIS = ("city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset")
-ORDERS = (2, 3, 4, 5)
+ORDER = 3  # of the transfer
+ORDERS = (2, 3, 4, 5)  # of the visibility
 ROUGHNESSES = (0.2, 0.4, 0.6, 0.8, 1.0)
 AWAY, SIDE = 1.4, 6.0  # the wall's distance from the ball's centre, and its sides, in radii
 CAMERAS = ([0.0, -1, 0.2], [0.3, 1, 0.3], [1.0, 0.3, 0.5])  # directions towards them
-POINTS, LOBE = 1500, 1024  # on the ball; directions of a lobe
+POINTS = 700  # on the ball
+NAMES = ("none", "ambient occlusion", "the lobe alone, order 3", *(f"order {n}" for n in ORDERS))
 
 
 def main() -> None:
@@ -44,74 +46,88 @@ def main() -> None:
     asked.add_argument("--rays", type=int, default=256)
     chosen = asked.parse_args()
     pixels = [picture(name) for name in chosen.hdri]
-    names = ["none", "ambient occlusion", *(f"visibility, order {n}" for n in ORDERS)]
-    print("| roughness |", " | ".join(f"{name}, %" for name in names), "|")
-    print("|---" * (1 + len(names)) + "|")
-    ball = Ball(chosen.rays)
+    print("| roughness |", " | ".join(f"{name}, %" for name in NAMES), "|")
+    print("|---" * (1 + len(NAMES)) + "|")
+    ball = Ball(chosen.rays, pixels[0].shape[:2])
     for roughness in ROUGHNESSES:
-        lobes = ball.lobes(roughness)
-        errors = [list(ball.errors(each, lobes, roughness)) for each in pixels]
-        row = " | ".join(f"{100 * error:.1f}" for error in np.mean(errors, axis=0))
-        print(f"| {roughness} | {row} |", flush=True)
+        errors = np.mean(ball.errors(pixels, roughness), axis=0)
+        print(f"| {roughness} | {' | '.join(f'{100 * e:.1f}' for e in errors)} |", flush=True)
 
 
 class Ball:
-    """Places on the ball that a camera sees: unit ``normals`` (P, 3), ``mirrored`` directions
-    (P, 3), and what is baked there with so many ``rays``."""
+    """Places on the ball that a camera sees, unit ``normals`` (P, 3) and directions ``towards`` it
+    (P, 3), what is baked there with so many ``rays``, and which texels of pictures of ``shape``
+    reach them, all below the ball's own horizon included."""
 
-    def __init__(self, rays: int) -> None:
-        towards = np.array(CAMERAS) / np.linalg.norm(CAMERAS, axis=1, keepdims=True)
-        everywhere = even_sphere(POINTS)
-        facing = everywhere @ towards.T
-        place, camera = np.nonzero(facing > 0)
-        self.normals = everywhere[place]
-        self.mirrored = 2 * facing[place, camera, None] * self.normals - towards[camera]
-        places = Points(np.float32(self.normals), np.float32(self.normals), np.empty(0, np.int32))
+    def __init__(self, rays: int, shape: tuple[int, int]) -> None:
+        cameras = np.array(CAMERAS) / np.linalg.norm(CAMERAS, axis=1, keepdims=True)
+        place, camera = np.nonzero(even_sphere(POINTS) @ cameras.T > 0)
+        self.normals, self.towards = even_sphere(POINTS)[place], cameras[camera]
         corner = [-AWAY, -SIDE / 2, -1]
-        self.wall = embree(*shapes.grid(corner, [0, SIDE, 0], [0, 0, SIDE], 1))
-        values = np.empty((len(place), 1 + max(ORDERS) ** 2), np.float32)
-        settings = Settings(order=1, rays=rays)
-        for _ in trace_all(places, self.wall, settings, values, visibility_order=max(ORDERS)):
+        wall = embree(*shapes.grid(corner, [0, SIDE, 0], [0, 0, SIDE], 1))
+        starts = np.float32(self.normals)
+        values = np.empty((len(place), ORDER**2 + max(ORDERS) ** 2), np.float32)
+        steps = trace_all(
+            Points(starts, starts, np.empty(0, np.int32)),
+            wall,
+            Settings(order=ORDER, rays=rays),
+            values,
+            visibility_order=max(ORDERS),
+        )
+        for _ in steps:
             pass
-        self.ambient = values[:, :1] / sh.open_transfer([0.0, 0, 1], 1)
-        self.visibility_sh = values[:, 1:]
+        self.transfer, self.visibility_sh = values[:, None, : ORDER**2], values[:, ORDER**2 :]
+        self.texels = np.float32(lat_long.directions(*shape).reshape(-1, 3))
+        self.solid_angles = np.repeat(lat_long.row_solid_angles(*shape), shape[1])
+        self.clear = np.empty((len(place), len(self.texels)), bool)
+        for sees, normal, start in zip(self.clear, self.normals, starts, strict=True):
+            met = wall.sky_mask(np.broadcast_to(start, self.texels.shape), self.texels) == 0
+            sees[:] = ~(met & (self.texels @ normal > 0))
 
-    def lobes(self, roughness: float) -> tuple[Array, Array]:
-        """Directions (P, N, 3) of the lobes, and which of them reach the sky (P, N), all below the
-        ball's own horizon included."""
-        local = lobe_directions(roughness)
-        turn = frames(self.mirrored, np.linspace(0, 2 * np.pi, len(self.mirrored))).matrices()
-        directions = np.einsum("pij,nj->pni", turn, np.float32(local))
-        above = np.einsum("pni,pi->pn", directions, self.normals) > 0
-        starts = np.repeat(np.float32(self.normals), len(local), axis=0)
-        blocked = self.wall.sky_mask(starts, directions.reshape(-1, 3)).reshape(above.shape) == 0
-        return directions, ~(above & blocked)
+    def reflected(self, flux: Array, roughness: float) -> tuple[Array, Array]:
+        """What is reflected of texels with ``flux`` (M, K) without the wall and with it (P, K)."""
+        k = brdf.environment_k(roughness)
+        whole = np.empty((len(self.normals), flux.shape[1]))
+        shadowed = np.empty_like(whole)
+        for i, (normal, towards) in enumerate(zip(self.normals, self.towards, strict=True)):
+            above = np.flatnonzero(self.texels @ normal > 0)
+            halves = self.texels[above] + towards
+            n_l, n_h = self.texels[above] @ normal, halves @ normal
+            lobe = brdf.distribution(roughness**2, n_h / np.linalg.norm(halves, axis=1)) * n_l
+            lobe *= brdf.visible_part(k, n_l) * brdf.visible_part(k, normal @ towards) / 4
+            whole[i] = lobe @ flux[above]
+            shadowed[i] = (lobe * self.clear[i, above]) @ flux[above]
+        return whole, shadowed
 
-    def errors(
-        self, pixels: Array, lobes: tuple[Array, Array], roughness: float
-    ) -> Iterator[float]:
-        """Of the factors, relative to what is reflected under ``pixels`` (H, W, 3)."""
-        directions, clear = lobes
-        radiance = looked_up(pixels, directions)
-        whole = radiance.mean(axis=1)
-        shadowed = (radiance * clear[..., None]).mean(axis=1)
-        factors = zonal_factors(roughness)
-        yield relative_rms(whole, shadowed)
-        yield relative_rms(self.ambient * whole, shadowed)
-        for order in ORDERS:
-            seen = occlusion(self.visibility_sh[:, : order**2], self.mirrored, factors)
-            yield relative_rms(seen[:, None] * whole, shadowed)
+    def errors(self, pictures: list[Array], roughness: float) -> list[list[float]]:
+        """Of the factors of ``NAMES``, relative to what is reflected under each of ``pictures``
+        (H, W, 3)."""
+        flux = [p.reshape(-1, 3) * self.solid_angles[:, None] for p in pictures]
+        both = self.reflected(np.concatenate(flux, axis=1), roughness)
+        light = [f.T @ sh.basis(self.texels, ORDER) for f in flux]
+        parts = zip(*(np.split(one, len(pictures), axis=1) for one in both), light, strict=True)
+        return [
+            [relative_rms(factor * whole, shadowed) for factor in self.factors(lit.T, roughness)]
+            for whole, shadowed, lit in parts
+        ]
 
+    def factors(self, radiance_sh: Array, roughness: float) -> Iterator[Array]:
+        """Those of ``NAMES``, (P, 1 or 3) or 1."""
+        open_sky = sh.open_transfer([0.0, 0, 1], 1)
+        lobes = [self.lobe(order, roughness) for order in ORDERS]
+        light = occlusion.brightened(radiance_sh, ORDER)
+        arriving = occlusion.arriving(self.transfer, self.normals, light)
+        yield np.ones((1, 1))
+        yield self.transfer[:, 0, :1] / open_sky
+        yield lobes[ORDERS.index(3)][:, None]
+        for lobe in lobes:
+            yield occlusion.share(lobe, arriving, roughness)
 
-def lobe_directions(roughness: float) -> Array:
-    """Directions (N, 3) about +z, as dense as the lobe."""
-    angle = np.linspace(0, np.pi / 2, 20_001)
-    density = brdf.lobe(roughness, np.cos(angle)) * np.sin(angle)
-    reached = np.concatenate([[0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
-    i = np.arange(LOBE)
-    theta = np.interp((i + 0.5) / LOBE, reached / reached[-1], angle)
-    phi = i * np.pi * (3 - 5**0.5)
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], 1)
+    def lobe(self, order: int, roughness: float) -> Array:
+        """The share (P,) of the lobe that a visibility of ``order`` sees."""
+        directions = shading.look_up(self.normals, self.towards, roughness)
+        seen = self.visibility_sh[:, : order**2]
+        return occlusion.occlusion(seen, directions, zonal_factors(roughness))
 
 
 def even_sphere(count: int) -> Array:
@@ -120,15 +136,6 @@ def even_sphere(count: int) -> Array:
     z, phi = 1 - (2 * i + 1) / count, i * np.pi * (3 - 5**0.5)
     radius = np.sqrt(1 - z * z)
     return np.stack([radius * np.cos(phi), radius * np.sin(phi), z], axis=1)
-
-
-def looked_up(pixels: Array, directions: Array) -> Array:
-    """The picture's texels (..., 3) in unit ``directions`` (..., 3)."""
-    height, width = pixels.shape[:2]
-    u = 0.5 - np.arctan2(directions[..., 1], directions[..., 0]) / (2 * np.pi)
-    v = np.arccos(np.clip(directions[..., 2], -1, 1)) / np.pi
-    row = np.minimum((v * height).astype(int), height - 1)
-    return pixels[row, (u * width).astype(int) % width]
 
 
 def picture(name: str) -> Array:
