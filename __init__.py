@@ -10,9 +10,18 @@ from typing import Any
 def _parts() -> tuple[ModuleType, ...]:
     """What registers, in this order; each has ``register`` and ``unregister``."""
     from . import operators, ui
-    from .addon import cli, gltf_panel, live_light, live_materials, properties, stale
+    from .addon import (
+        cli,
+        gltf_panel,
+        live_light,
+        live_materials,
+        live_reflections,
+        properties,
+        stale,
+    )
 
-    return properties, gltf_panel, live_light, live_materials, stale, cli, operators, ui
+    parts = properties, gltf_panel, live_light, live_reflections, live_materials
+    return *parts, stale, cli, operators, ui
 
 
 def register() -> None:

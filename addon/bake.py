@@ -21,6 +21,7 @@ from . import (
     figures,
     light_state,
     live_light,
+    live_reflections,
     reflections,
     scene,
     scene_occluders,
@@ -90,7 +91,7 @@ def bake(
         state = _light_state(light, results, follows=light.follows and not is_cubemap)
         with (
             textures.images(results, target) as images,
-            reflections.loaded(results.reflections) as reflected,
+            reflections.loaded(results.reflections, light.image_key) as reflected,
         ):
             shown = images, reflected
             if hdri is None or is_cubemap:
@@ -141,9 +142,10 @@ def update_light(scene_name: str) -> Steps:
         yield jobs.Progress("light", 0.0)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         light = world.read(bpy.data.scenes[scene_name], depsgraph, folder)
-        wanted = jobs.Settings(reflections=reflections.current() is not None)
-        results = yield from engine.run(jobs.Job("light", wanted, light.source), folder)
-        with reflections.loaded(results.reflections) as reflected:
+        before = light_state.read(bpy.data.scenes[scene_name])
+        job = jobs.Job("light", live_reflections.settings(before), light.source)
+        results = yield from engine.run(job, folder)
+        with reflections.loaded(results.reflections, light.image_key) as reflected:
             writeback.reflect(reflected)
     state = _light_state(light, results, light.follows)
     before = light_state.read(bpy.data.scenes[scene_name])

@@ -76,12 +76,10 @@ def run(job: jobs.Job, folder: Path) -> Generator[jobs.Progress, None, Results]:
     return read_results(folder)
 
 
-def run_light(
-    source: jobs.LightSource, folder: Path, settings: jobs.Settings | None = None
-) -> Results:
+def run_light(source: jobs.LightSource, folder: Path) -> Results:
     """What the engine makes of ``source`` in an existing, empty ``folder``: the coefficients of its
-    image, unrotated, and reflections where the ``settings`` want them; waits for the child."""
-    steps = run(jobs.Job("light", settings or jobs.Settings(), source), folder)
+    image, unrotated; waits for the child."""
+    steps = run(jobs.Job("light", jobs.Settings(), source), folder)
     while True:
         try:
             next(steps)

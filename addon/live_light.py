@@ -10,10 +10,9 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from . import cache_folder, engine, light_state, reflections, world, writeback
+from . import engine, light_state, live_reflections, world, writeback
 from .light_state import Coefficients, LightState
 from .prt.errors import BakeError
-from .prt.job import Settings
 from .prt.light.projection import world_sh
 from .world import SimpleWorld
 
@@ -40,7 +39,7 @@ def refresh(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
         problem = str(error)
         _settled.pop(scene.name, None)
         return False
-    if _settled.get(scene.name) == (simple, kept):
+    if _settled.get(scene.name) == (simple, kept) and _is_reflected(simple):
         return False
     changed, problem = _follow(scene, simple)
     _settled[scene.name] = (simple, scene[light_state.KEY])
@@ -73,10 +72,15 @@ def _follow(scene: bpy.types.Scene, simple: SimpleWorld | None) -> tuple[bool, s
         rotation=simple.rotation,
         strength=simple.strength,
     )
-    if _same(now, state):
-        return False, ""
-    show(scene, now)
-    return True, ""
+    changed = not _same(now, state)
+    if changed:
+        show(scene, now)
+    return changed, live_reflections.follow(scene, simple)
+
+
+def _is_reflected(simple: SimpleWorld | None) -> bool:
+    """Whether shiny materials need nothing either."""
+    return simple is None or live_reflections.agree(simple)
 
 
 def _same(now: LightState, before: LightState) -> bool:
@@ -88,16 +92,11 @@ def _same(now: LightState, before: LightState) -> bool:
 
 
 def _image_sh(simple: SimpleWorld, state: LightState) -> Coefficients:
-    """The image's coefficients: the kept ones, or by the engine where it is another image; then
-    what shiny materials reflect is made anew, too."""
+    """The image's coefficients: the kept ones, or by the engine where it is another image."""
     if simple.image_key == state.image_key:
         return state.image_sh
     with engine.job_folder() as work, engine.job_folder() as folder:
-        wanted = reflections.current() is not None
-        settings = Settings(reflections=wanted, cache=cache_folder.path() if wanted else "")
-        results = engine.run_light(world.source(simple, folder), work, settings)
-        with reflections.loaded(results.reflections) as reflected:
-            writeback.reflect(reflected)
+        results = engine.run_light(world.source(simple, folder), work)
     image_sh: Coefficients = results.image_sh
     return image_sh
 

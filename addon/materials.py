@@ -31,6 +31,7 @@ def attach(
 ) -> None:
     """Let ``material`` show bakes of ``layout`` in EEVEE, on vertices or in ``image``, and reflect
     ``reflected`` where it is shiny; the artist's nodes stay as they are."""
+    kept = shading_tree.switches(material.node_tree) if STATE in material else {}
     detach(material)
     state = {
         "layout": asdict(layout),
@@ -44,6 +45,7 @@ def attach(
     plan = material_plan.read(tree, reflects=reflected is not None)
     theirs = material_plan.artist_output(tree)
     ours = shading_tree.build(tree, plan, layout, image, reflected)
+    shading_tree.set_switches(tree, kept)
     if theirs is not None and theirs.target == "EEVEE":
         state["active"] = _active_output(tree)
         ours.is_active_output = True

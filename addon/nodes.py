@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 import bpy
 import numpy as np
 
-from . import light_state, node_values, reflection_nodes, stamp
+from . import light_state, node_values, reflection_nodes, reflections, stamp
 from .light_state import LightState
 from .prt.layout import Layout
 
@@ -59,11 +59,18 @@ def set_light(light: LightState) -> bool:
 def reflect(reflected: bpy.types.Image) -> None:
     """Let every group that reflects do so with another image, under the light that it has."""
     for tree in groups():
-        if REFLECTED not in tree or tree.get(REFLECTED) == reflected:
+        before = tree.get(REFLECTED)
+        if REFLECTED not in tree or before == reflected:
+            continue
+        tree[REFLECTED] = reflected
+        known = reflections.of(reflected)
+        if before is not None and reflections.of(before).is_read_like(known):
+            for node in tree.nodes:
+                if node.type == "TEX_IMAGE" and node.image == before:
+                    node.image = reflected
             continue
         named = [node for node in tree.nodes if node.label]
         kept = [(node.name, reflection_nodes.held(node)) for node in named]
-        tree[REFLECTED] = reflected
         tree.nodes.clear()
         _fill(tree, layout_of(tree), tree.get(ATLAS), reflected)
         for name, value in kept:

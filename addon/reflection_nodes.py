@@ -33,6 +33,7 @@ INPUTS = (
     ("Rough Look-up", "Float", 1.0),
 )
 FED = ("Base Color", *(name for name, _, _ in INPUTS[:6]))  # by a Principled BSDF's own
+SWITCHES = tuple(name for name, _, _ in INPUTS[6:])  # the artist's alone
 Inputs = dict[str, Socket]
 IMAGE = "prt_reflected"  # of a group: what it reflects
 

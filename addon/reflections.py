@@ -21,11 +21,19 @@ FORMER = "prt_former_reflections"
 
 @dataclass(frozen=True)
 class Known:
-    """What an image says of itself: where things are, and which peaks are left out of it, in the
-    picture's own frame and for a strength of 1."""
+    """What an image says of itself: where things are, which peaks are left out of it, in the
+    picture's own frame and for a strength of 1, and the ``key`` of that picture, None in files of
+    older versions."""
 
     sheet: Sheet
     peaks: tuple[Peak, ...]
+    key: str | None = None
+
+    def is_read_like(self, other: "Known") -> bool:
+        """Whether the same nodes read both."""
+        places = [(one.sheet.cell, one.sheet.detail) for one in (self, other)]
+        radii = [[peak.angular_radius for peak in one.peaks] for one in (self, other)]
+        return places[0] == places[1] and radii[0] == radii[1]
 
 
 def current() -> bpy.types.Image | None:
@@ -39,16 +47,18 @@ def current() -> bpy.types.Image | None:
 def of(image: bpy.types.Image) -> Known:
     """What ``image`` says of itself."""
     found: dict[str, Any] = json.loads(image[TAG])
-    return Known(Sheet.of(found["sheet"]), tuple(Peak.of(peak) for peak in found["peaks"]))
+    peaks = tuple(Peak.of(peak) for peak in found["peaks"])
+    return Known(Sheet.of(found["sheet"]), peaks, found.get("key"))
 
 
 @contextmanager
-def loaded(found: Reflections | None) -> Iterator[bpy.types.Image | None]:
-    """``found`` as a packed image, gone again on an error inside; None for None."""
+def loaded(found: Reflections | None, key: str) -> Iterator[bpy.types.Image | None]:
+    """``found`` of the picture ``key`` as a packed image, gone again on an error inside; None for
+    None."""
     if found is None:
         yield None
         return
-    image = _load(found)
+    image = _load(found, key)
     try:
         yield image
     except BaseException:
@@ -73,7 +83,7 @@ def free_unused() -> None:
         bpy.data.images.remove(image)
 
 
-def _load(found: Reflections) -> bpy.types.Image:
+def _load(found: Reflections, key: str) -> bpy.types.Image:
     image = bpy.data.images.load(str(found.path), check_existing=False)
     image.name = NAME
     image.colorspace_settings.name = "Non-Color"
@@ -83,7 +93,6 @@ def _load(found: Reflections) -> bpy.types.Image:
         raise BakeError("Blender cannot read the reflections: bake again")
     image.pack()
     image.filepath_raw = f"//{NAME}.exr"
-    image[TAG] = json.dumps(
-        {"sheet": asdict(found.sheet), "peaks": [asdict(peak) for peak in found.peaks]}
-    )
+    peaks = [asdict(peak) for peak in found.peaks]
+    image[TAG] = json.dumps({"sheet": asdict(found.sheet), "peaks": peaks, "key": key})
     return image

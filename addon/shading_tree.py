@@ -12,10 +12,11 @@ import bpy
 from . import nodes
 from .material_plan import BAKED, SHADING, TAG, Feed, Part, Plan
 from .prt.layout import Layout
-from .reflection_nodes import FED
+from .reflection_nodes import FED, SWITCHES
 from .stamp import SWITCH
 
 FRAME = "PRT Bake"
+Switches = dict[tuple[str, str], float]  # by the names of node and input
 KINDS = {
     "mix": ("ShaderNodeMixShader", (0,), (1, 2)),
     "add": ("ShaderNodeAddShader", (), (0, 1)),
@@ -63,6 +64,28 @@ def clear(tree: bpy.types.NodeTree, tag: str = SHADING) -> None:
     """Remove our nodes that are tagged ``tag``."""
     for node in [node for node in tree.nodes if node.get(TAG) == tag]:
         tree.nodes.remove(node)
+
+
+def switches(tree: bpy.types.NodeTree) -> Switches:
+    """What the artist set in our groups that no shader of his says."""
+    return {
+        (node.name, name): node.inputs[name].default_value
+        for node in _reflecting(tree)
+        for name in SWITCHES
+    }
+
+
+def set_switches(tree: bpy.types.NodeTree, kept: Switches) -> None:
+    """Set what ``switches`` has found: of groups of another name what the first of them has."""
+    firsts = {name: value for (_, name), value in reversed(kept.items())}
+    for node in _reflecting(tree):
+        for name, value in firsts.items():
+            node.inputs[name].default_value = kept.get((node.name, name), value)
+
+
+def _reflecting(tree: bpy.types.NodeTree) -> list[bpy.types.Node]:
+    ours = [node for node in tree.nodes if node.get(TAG) == SHADING]
+    return [node for node in ours if all(name in node.inputs for name in SWITCHES)]
 
 
 def sync(tree: bpy.types.NodeTree, plan: Plan) -> bool:

@@ -37,7 +37,7 @@ def test_the_share_of_a_lobe_that_is_seen_is_reflected(scene, made, reflected, t
             one[1].transfer[:] = TRANSFER
             baked.append(one)
             cases.append((obj, roughness, coefficients))
-    with reflections.loaded(reflected()) as image:
+    with reflections.loaded(reflected(), "") as image:
         writeback.write(scene, baked, layout, (), image)
     turn = reflecting.rows(reflecting.TURN)
     writeback.set_light(LightState("", LIGHT, LIGHT, LIGHT, True, (), turn, reflecting.STRENGTH))
@@ -69,7 +69,7 @@ def test_lamps_that_are_not_reflected_do_not_weigh(scene, reflected):
     irradiance, direction = strength * sun.irradiance, turn.T @ sun.direction
     there = replace(sun, direction=tuple(direction), irradiance=tuple(irradiance))
     whole = LIGHT + peaks_sh((there,))
-    with reflections.loaded(reflected([sun])) as image:
+    with reflections.loaded(reflected([sun]), "") as image:
         tree = nodes.group(layout, None, image)
         state = LightState("", whole, whole, whole, True, (there,), reflecting.rows(turn), strength)
         nodes.set_light(state)

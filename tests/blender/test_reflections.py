@@ -10,13 +10,9 @@ from bakes import constant_bake, principled, quad, shader
 from mathutils import Matrix, Vector
 from pictures import colour, look_down, render, show_exit
 from prt_baker.addon import (
-    bake,
-    light_state,
     material_samplers,
-    materials,
     nodes,
     reflections,
-    remove,
     write_checks,
     writeback,
 )
@@ -77,7 +73,7 @@ def sphere(scene, material, x):
 
 def write(scene, found, layout, objects):
     baked = [constant_bake(obj, layout) for obj in objects]
-    with reflections.loaded(found) as image:
+    with reflections.loaded(found, "") as image:
         writeback.write(scene, baked, layout, (), image)
     writeback.set_light(LightState("", FLAT, FLAT, FLAT, True, (), rows(TURN), STRENGTH))
     return baked
@@ -207,7 +203,7 @@ def test_a_lamp_cut_out_gives_a_highlight_that_its_shadow_takes_away(
     assert to_sun[2] > 0.2
     for (_, result, _), value in zip(baked, shadows, strict=True):
         result.visibility[:] = value
-    with reflections.loaded(reflected([SUN])) as image:
+    with reflections.loaded(reflected([SUN]), "") as image:
         writeback.write(scene, baked, layout, (), image)
     writeback.set_light(LightState("", FLAT, FLAT, FLAT, True, (), rows(TURN), STRENGTH))
     show_exit(scene, material)
@@ -236,7 +232,7 @@ def test_one_image_one_sampler(scene, reflected):
         Layout(4, 3, 1, 0, 0),
     ]
     peaks = [SUN] * 4
-    with reflections.loaded(reflected(peaks)) as image:
+    with reflections.loaded(reflected(peaks), "") as image:
         for layout in layouts:
             plain, shiny = nodes.group(layout), nodes.group(layout, None, image)
             read = {
@@ -269,107 +265,6 @@ def test_too_many_textures_are_refused(scene):
     write_checks.check(scene, [obj], Layout(3))
     with pytest.raises(BakeError, match="reads 30 textures, and EEVEE at most 30, one of them"):
         write_checks.check(scene, [obj], Layout(3), reflections=True)
-
-
-class TestAWholeBake:
-    """From the world to the image and back."""
-
-    def bake(self, scene, names, **settings):
-        steps = bake.bake(scene.name, names, Settings(rays=16, fit=False, **settings))
-        while True:
-            try:
-                next(steps)
-            except StopIteration as stop:
-                return stop.value
-
-    @pytest.fixture
-    def sky(self, scene):
-        scene.world = bpy.data.worlds.new("World")
-        if bpy.app.version < (5, 0):
-            scene.world.use_nodes = True
-        tree = scene.world.node_tree
-        background = next(n for n in tree.nodes if n.type == "BACKGROUND")
-        mapping, place = (tree.nodes.new(f"ShaderNode{n}") for n in ("Mapping", "TexCoord"))
-        texture = tree.nodes.new("ShaderNodeTexEnvironment")
-        texture.image = bpy.data.images.new("Sky", 64, 32, float_buffer=True)
-        texture.image.colorspace_settings.name = "Non-Color"
-        texture.image.pixels[:] = np.random.default_rng(0).random(64 * 32 * 4).tolist()
-        texture.image.pack()
-        for source, target in (
-            (place.outputs["Generated"], mapping.inputs[0]),
-            (mapping.outputs[0], texture.inputs[0]),
-            (texture.outputs[0], background.inputs[0]),
-        ):
-            tree.links.new(source, target)
-        return mapping
-
-    def test_grey_diffuse_surfaces_get_nothing_new(self, scene, sky):
-        material = principled(Base_Color=(0.5, 0.5, 0.5, 1), Specular_IOR_Level=0)
-        obj = quad(scene, material=material)
-        without = self.bake(scene, [obj.name])
-        tree = nodes.groups()[0]
-        before = [(n.type, n.name) for n in tree.nodes]
-        having = self.bake(scene, [obj.name], reflections=True)
-        assert "reflections" not in having["seconds"]
-        assert reflections.current() is None
-        assert [(n.type, n.name) for n in nodes.groups()[0].nodes] == before
-        assert without["objects"][0]["rays"] == having["objects"][0]["rays"]
-
-    def test_it_turns_with_the_world_and_goes_with_the_bake(self, scene, sky, tmp_path):
-        obj = quad(scene, material=principled(Metallic=1, Roughness=0.3))
-        images_before = set(bpy.data.images.keys())
-        report = self.bake(scene, [obj.name], reflections=True)
-        assert report["seconds"]["reflections"] > 0
-        image = reflections.current()
-        assert image.packed_file is not None
-        assert image.colorspace_settings.name == "Non-Color"
-        sky.inputs["Rotation"].default_value[2] = radians(90)
-        bpy.context.view_layer.update()
-        row = nodes.groups()[0].nodes["Turn 0"].inputs[1].default_value
-        assert tuple(row) == pytest.approx((0, -1, 0), abs=1e-6)
-        assert reflections.current() == image
-        path = str(tmp_path / "kept.blend")
-        bpy.ops.wm.save_as_mainfile(filepath=path)
-        bpy.ops.wm.open_mainfile(filepath=path)
-        scene = bpy.context.scene
-        kept = reflections.current()
-        assert kept.has_data or kept.pixels[0] >= 0
-        assert nodes.groups()[0][nodes.REFLECTED] == kept
-        assert light_state.read(scene).rotation[0] == pytest.approx((0, -1, 0), abs=1e-6)
-        remove.remove(scene, list(scene.objects))
-        assert set(bpy.data.images.keys()) == images_before
-        assert not nodes.groups()
-
-    def test_another_hdri_is_reflected_at_once(self, scene, sky):
-        obj = quad(scene, material=principled(Metallic=1))
-        self.bake(scene, [obj.name], reflections=True)
-        texture = sky.outputs[0].links[0].to_node
-        other = bpy.data.images.new("Other", 64, 32, float_buffer=True)
-        other.colorspace_settings.name = "Non-Color"
-        other.pixels[:] = [0.25] * (64 * 32 * 4)
-        other.pack()
-        texture.image = other
-        bpy.context.view_layer.update()
-        (kept,) = (image for image in bpy.data.images if reflections.TAG in image)
-        width, height = kept.size
-        pixels = np.array(kept.pixels[:]).reshape(height, width, 4)
-        known = reflections.of(kept).sheet
-        up = sheet.radiance(known, pixels, np.array([[0, 0.6, 0.8]]), 0.5)
-        assert up == pytest.approx(np.full((1, 3), 0.25), rel=1e-3)
-        assert all(
-            node.image == kept for node in nodes.groups()[0].nodes if node.type == "TEX_IMAGE"
-        )
-
-    def test_a_material_that_becomes_shiny_is_followed(self, scene, sky):
-        made = principled(Specular_IOR_Level=0), principled(Metallic=1)
-        objects = [quad(scene, k, material=one, name=str(k)) for k, one in enumerate(made)]
-        self.bake(scene, [obj.name for obj in objects], reflections=True)
-        assert [materials.reflects(one) for one in made] == [False, True]
-        assert len(nodes.groups()) == 2
-        shader(made[0]).inputs["Metallic"].default_value = 0.5
-        bpy.context.view_layer.update()
-        nodes.free_unused()
-        assert len(nodes.groups()) == 1
 
 
 def test_an_engine_job_says_whether_it_reflects():

@@ -70,7 +70,8 @@ class World:
         )
         baked = job.kind == "bake" and self._has_picture
         self.turns = job.settings.turns if baked and job.settings.residual else 0
-        self._peaks = job.settings.peaks if baked else 0
+        cut = baked or (job.kind == "light" and self._has_picture and job.settings.reflections)
+        self._peaks = job.settings.peaks if cut else 0
         self._exact: Future[ExactWorld | None] | None = None
         self._name = light_digest(light_of).hex() if light_of and job.settings.cache else ""
 
