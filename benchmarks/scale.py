@@ -21,7 +21,7 @@ import shapes
 
 ROCKS = 1000
 SIZE = 100.0  # metres along a side
-OF_POINTS = ("prepare", "transfer", "estimate")  # the phases whose work grows with the points
+OF_POINTS = ("prepare", "horizon", "transfer", "estimate")  # the phases whose work grows with the points
 Mesh = tuple[np.ndarray, np.ndarray]
 
 
