@@ -22,6 +22,7 @@ from .prt.compression.request import Coded, Request, read_answer
 from .prt.compression.request import write as write_request
 from .prt.errors import BakeError, no_room
 from .prt.results import Results, read_results
+from .prt.steps import value_of
 
 # Our folders come last in the child's path: a sibling named like a part of the standard library
 # would kill it.
@@ -79,13 +80,7 @@ def run(job: jobs.Job, folder: Path) -> Generator[jobs.Progress, None, Results]:
 def run_light(source: jobs.LightSource, folder: Path) -> Results:
     """What the engine makes of ``source`` in an existing, empty ``folder``: the coefficients of its
     image, unrotated; waits for the child."""
-    steps = run(jobs.Job("light", jobs.Settings(), source), folder)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            results: Results = stop.value
-            return results
+    return value_of(run(jobs.Job("light", jobs.Settings(), source), folder))
 
 
 def compressed(request: Request) -> list[Coded]:

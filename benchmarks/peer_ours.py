@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from prt_baker.addon import engine
 from prt_baker.addon.prt import job as jobs
-from prt_baker.addon.prt.results import Results
+from prt_baker.addon.prt.steps import value_of
 from scenes import Scene
 
 TRACING = (
@@ -39,7 +39,7 @@ def bake(scene: Scene, chosen: jobs.Settings) -> Baked:
     job = scene.job(chosen)
     start = time.perf_counter()
     with engine.job_folder() as folder:
-        results = finish(engine.run(job, folder))
+        results = value_of(engine.run(job, folder))
     seconds = time.perf_counter() - start
     transfer = np.concatenate([whole_order(r.transfer[:, 0]) for r in results.receivers])
     tracing = sum(results.report["seconds"].get(phase, 0.0) for phase in TRACING)
@@ -49,12 +49,3 @@ def bake(scene: Scene, chosen: jobs.Settings) -> Baked:
 def whole_order(transfer: np.ndarray) -> np.ndarray:
     """``transfer`` (P, m²) with zeros (P, 9) for bands that were not worth storing."""
     return np.pad(transfer, ((0, 0), (0, 9 - transfer.shape[1])))
-
-
-def finish(steps: Any) -> Results:
-    """The value of a generator that is run to its end."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value

@@ -11,6 +11,7 @@ import prt_baker
 from picture_truth import Picture
 from prt_baker.addon import bake, remove
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.steps import value_of
 
 PROBE_CELLS = (16, 16, 8)
 PROBE_RAYS = 256
@@ -32,11 +33,7 @@ def bake_all(settings: Settings) -> dict:
     """Bake every mesh under the world as it is; the report."""
     names = [obj.name for obj in picture_scenes.meshes()]
     steps = bake.bake(bpy.context.scene.name, names, settings)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value
+    return value_of(steps)
 
 
 def remove_all() -> None:

@@ -15,13 +15,15 @@ import numpy as np
 from prt_baker.addon import engine
 from prt_baker.addon.prt import job as jobs
 from prt_baker.addon.prt.results import Results
+from prt_baker.addon.prt.steps import value_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "engine"))
 import shapes
 
 ROCKS = 1000
 SIZE = 100.0  # metres along a side
-OF_POINTS = ("prepare", "horizon", "transfer", "estimate")  # the phases whose work grows with the points
+# phases whose work grows with the points
+OF_POINTS = ("prepare", "horizon", "transfer", "estimate")
 Mesh = tuple[np.ndarray, np.ndarray]
 
 
@@ -87,12 +89,7 @@ def bake(job: jobs.Job) -> tuple[Results, float]:
     """The results, and seconds from arrays to arrays."""
     start = time.perf_counter()
     with engine.job_folder() as folder:
-        steps = engine.run(job, folder)
-        while True:
-            try:
-                next(steps)
-            except StopIteration as stop:
-                return stop.value, time.perf_counter() - start
+        return value_of(engine.run(job, folder)), time.perf_counter() - start
 
 
 def main() -> None:

@@ -8,13 +8,13 @@ Every ray counts, the pilots' too.  Prints a table in Markdown.
 
 import argparse
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from prt_baker.addon.prt.job import Receiver, Settings
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface.points import Points, Surface, distinct_points, element_triangles
 from prt_baker.addon.prt.surface.samples import random_places, starts
 from prt_baker.addon.prt.tracing import transfer
@@ -76,15 +76,6 @@ SCENES: dict[str, tuple[Callable[[], Scene], tuple[int, ...]]] = {
 }
 
 
-def finish(steps: Generator[int, None, Any]) -> Any:
-    """What a generator returns."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
-
-
 @dataclass
 class Bench:
     """A scene with the truth at random places of its surface."""
@@ -113,7 +104,7 @@ class Bench:
         out = np.empty((len(origins), 9), np.float32)
         where = Points(origins, normals, np.empty(0, np.int32))
         settings = Settings(rays=rays, seed=seed)
-        finish(transfer.trace_all(where, self.sky, settings, out))
+        value_of(transfer.trace_all(where, self.sky, settings, out))
         return out
 
     def noise(self, rays: int) -> float:
@@ -135,7 +126,7 @@ class Bench:
 
         settings = replace(Settings(), fit=fit, rays=rays)
         steps = solve(self.receiver, self.points, trace, self.sky, settings, rays=rays, noise=noise)
-        return finish(steps), cast
+        return value_of(steps), cast
 
     def error(self, values: np.ndarray) -> float:
         """The relative RMS error of ``values`` (P, 9) of the points over the surface."""

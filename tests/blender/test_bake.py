@@ -27,6 +27,7 @@ from prt_baker.addon.prt import job as jobs
 from prt_baker.addon.prt import run
 from prt_baker.addon.prt.job import Settings
 from prt_baker.addon.prt.light import projection
+from prt_baker.addon.prt.steps import value_of
 from worlds import environment, generated, loaded, picture
 
 FEW = Settings(rays=32, seed=5, threads=1)
@@ -58,17 +59,8 @@ def stage(scene):
     return [floor, above]
 
 
-def finish(steps):
-    """The report that ``steps`` end with."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value
-
-
 def baked(scene, objects, settings=FEW, hdri=None):
-    return finish(bake.bake(scene.name, [obj.name for obj in objects], settings, hdri))
+    return value_of(bake.bake(scene.name, [obj.name for obj in objects], settings, hdri))
 
 
 def held(obj):
@@ -85,11 +77,7 @@ def computed(objects, settings, folder):
     folder.mkdir()
     jobs.write(job, folder)
     steps = run.run(jobs.read(folder))
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return [result.at_elements(result.transfer) for result in end.value.receivers]
+    return [result.at_elements(result.transfer) for result in value_of(steps).receivers]
 
 
 def kinds(scene):
@@ -205,7 +193,7 @@ def test_what_was_edited_while_it_baked_is_not_shown(scene):
     floor.data.vertices[3].co.z += 0.1
     floor.data.update()
     bpy.context.view_layer.update()
-    finish(steps)
+    value_of(steps)
     bpy.context.view_layer.update()
     assert (floor[stamp.SWITCH], above[stamp.SWITCH]) == (0, 0)
 
@@ -218,7 +206,7 @@ def test_what_was_deleted_while_it_baked_is_said(scene):
     bpy.data.objects.remove(objects[1])
     before = snapshot.of(scene)
     with pytest.raises(bake.BakeError, match="no object 'Above' any more"):
-        finish(steps)
+        value_of(steps)
     assert snapshot.of(scene) == before
 
 
@@ -228,7 +216,7 @@ def test_update_light_sees_painted_pixels(scene):
     before = light_state.read(scene)
     values = held(objects[0])
     bpy.data.images["Picture"].pixels.foreach_set(np.full(32 * 64 * 4, 0.25, np.float32))
-    finish(bake.update_light(scene.name))
+    value_of(bake.update_light(scene.name))
     after = light_state.read(scene)
     np.testing.assert_allclose(after.radiance_sh[0], 1.5 * 0.25 * np.sqrt(4 * np.pi), rtol=1e-5)
     np.testing.assert_array_equal(after.baked_radiance_sh, before.baked_radiance_sh)
@@ -243,14 +231,14 @@ def test_verify_stamps_the_error_that_is_there(scene):
     floor.data.shade_smooth()
     baked(scene, [floor])
     settings = Settings(verify_points=64, verify_rays=4096)
-    finish(bake.verify(scene.name, ["Floor"], settings))
+    value_of(bake.verify(scene.name, ["Floor"], settings))
     assert stamp.read(floor).measured_error < 2e-3
     for name in attributes.names(floor.data):
         stored = floor.data.attributes[name].data
         values = np.empty(4 * len(stored), np.float32)
         stored.foreach_get("color", values)
         stored.foreach_set("color", 1.25 * values)
-    finish(bake.verify(scene.name, ["Floor"], settings))
+    value_of(bake.verify(scene.name, ["Floor"], settings))
     assert stamp.read(floor).measured_error == pytest.approx(0.25, abs=2e-3)
 
 

@@ -21,6 +21,7 @@ from prt_baker.addon import (
 )
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.layout import Layout
+from prt_baker.addon.prt.steps import value_of
 
 
 def albedo(obj):
@@ -29,14 +30,6 @@ def albedo(obj):
     found = scene_occluders.read(bpy.context.evaluated_depsgraph_get(), with_albedo=True)
     assert len(found.albedo) == len(found.triangles) == 2 * len(obj.data.polygons)
     return found.albedo
-
-
-def finish(steps):
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value
 
 
 def colours(kind, values):
@@ -158,7 +151,7 @@ def test_what_shines_is_named(scene):
     assert found.emitters == (obj.name,)
     scene.world = bpy.data.worlds.new("World")
     settings = replace(properties.settings(scene), bounces=1, rays=16)
-    report = finish(bake.bake(scene.name, [obj.name], settings))
+    report = value_of(bake.bake(scene.name, [obj.name], settings))
     assert report["notes"] == ["'Lamp' shines, but the bake holds the light of the world alone"]
 
 
@@ -181,10 +174,10 @@ def test_a_coloured_wall_takes_three_channels_and_a_grey_one_one(scene, corner):
     settings = replace(properties.settings(scene), bounces=2, rays=64)
     names = [obj.name for obj in corner]
     shader(corner[1].data.materials[0]).inputs["Base Color"].default_value = (0.5, 0.5, 0.5, 1)
-    finish(bake.bake(scene.name, names, settings))
+    value_of(bake.bake(scene.name, names, settings))
     assert [stamp.read(obj).channels for obj in corner] == [1, 1]
     shader(corner[1].data.materials[0]).inputs["Base Color"].default_value = (0.8, 0.1, 0.1, 1)
-    report = finish(bake.bake(scene.name, names, settings))
+    report = value_of(bake.bake(scene.name, names, settings))
     marks = [stamp.read(obj) for obj in corner]
     assert [(mark.channels, mark.bounces) for mark in marks] == [(3, 2), (3, 2)]
     assert report["objects"][0]["bounces"] == 2
@@ -200,7 +193,7 @@ def test_a_coloured_wall_takes_three_channels_and_a_grey_one_one(scene, corner):
 def test_without_bounces_the_bake_is_what_it_was(scene, corner):
     """A coloured wall is nothing to a bake of shadows."""
     settings = replace(properties.settings(scene), rays=64)
-    finish(bake.bake(scene.name, [obj.name for obj in corner], settings))
+    value_of(bake.bake(scene.name, [obj.name for obj in corner], settings))
     assert [stamp.read(obj).channels for obj in corner] == [1, 1]
     assert [stamp.read(obj).bounces for obj in corner] == [0, 0]
 
@@ -209,7 +202,7 @@ def test_order_5_in_colour_is_refused_before_baking(scene, corner):
     shader(corner[1].data.materials[0]).inputs["Base Color"].default_value = (0.8, 0.1, 0.1, 1)
     settings = replace(properties.settings(scene), bounces=1, order=5)
     with pytest.raises(BakeError, match=r"3 channels .* or no bounces"):
-        finish(bake.bake(scene.name, [obj.name for obj in corner], settings))
+        value_of(bake.bake(scene.name, [obj.name for obj in corner], settings))
     assert not any(stamp.KEY in obj for obj in corner)
 
 
@@ -217,9 +210,9 @@ def test_verify_follows_the_light_too(scene, corner):
     shader(corner[1].data.materials[0]).inputs["Base Color"].default_value = (0.8, 0.1, 0.1, 1)
     settings = replace(properties.settings(scene), bounces=2, rays=512)
     names = [obj.name for obj in corner]
-    finish(bake.bake(scene.name, names, settings))
+    value_of(bake.bake(scene.name, names, settings))
     checked = replace(settings, bounces=0, verify_points=40, verify_rays=4096)
-    finish(bake.verify(scene.name, names, checked))
+    value_of(bake.verify(scene.name, names, checked))
     assert stamp.read(corner[0]).measured_error < 0.04
 
 
@@ -227,7 +220,7 @@ def test_verify_follows_the_light_too(scene, corner):
 def bounced(scene, corner):
     """The corner, baked together with one bounce; a function tells which of it is shown."""
     settings = replace(properties.settings(scene), bounces=1, rays=16)
-    finish(bake.bake(scene.name, [obj.name for obj in corner], settings))
+    value_of(bake.bake(scene.name, [obj.name for obj in corner], settings))
 
     def shown():
         bpy.context.view_layer.update()
@@ -282,7 +275,7 @@ def test_painted_corners_make_a_bounced_bake_stale(scene, corner):
     node.layer_name = "Paint"
     link(material, node.outputs["Color"], shader(material).inputs["Base Color"])
     settings = replace(properties.settings(scene), bounces=1, rays=16)
-    finish(bake.bake(scene.name, [obj.name for obj in corner], settings))
+    value_of(bake.bake(scene.name, [obj.name for obj in corner], settings))
     bpy.context.view_layer.update()
     assert corner[0][stamp.SWITCH]
     layer = corner[1].data.color_attributes["Paint"]

@@ -15,6 +15,7 @@ from prt_baker.addon.prt.job import Peak, Settings
 from prt_baker.addon.prt.layout import Layout
 from prt_baker.addon.prt.light import projection, residual
 from prt_baker.addon.prt.results import ReceiverResult, Results
+from prt_baker.addon.prt.steps import value_of
 from worlds import environment, generated, new_world, picture
 
 PEAK = Peak((0.6, 0.0, 0.8), (0.3, 0.2, 0.1), 0.05)
@@ -84,16 +85,8 @@ def world(scene):
     return nodes
 
 
-def finish(steps):
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value
-
-
 def baked(scene, *names, **settings):
-    return finish(bake.bake(scene.name, list(names), Settings(**settings)))
+    return value_of(bake.bake(scene.name, list(names), Settings(**settings)))
 
 
 def turn(nodes, degrees):
@@ -235,7 +228,7 @@ def test_the_same_world_read_again_changes_no_share(scene, world, made_up):
 def test_verify_is_given_all_that_is_shown_and_the_light(scene, world, made_up):
     baked(scene, "Floor", peaks=1)
     strengthen(world, 3)
-    finish(bake.verify(scene.name, ["Floor"], Settings(verify_points=4)))
+    value_of(bake.verify(scene.name, ["Floor"], Settings(verify_points=4)))
     job = made_up.jobs[-1]
     assert job.kind == "verify"
     assert job.light.strength == pytest.approx((0.9,) * 3)
@@ -249,14 +242,14 @@ def test_verify_is_given_all_that_is_shown_and_the_light(scene, world, made_up):
     assert (mark.measured_error, mark.measured_at_points, mark.light_error) == (0.03, 0.01, 0.02)
     assert not mark.light_at_bake
     strengthen(world, 1 / 3)
-    finish(bake.verify(scene.name, ["Floor"], Settings(verify_points=4)))
+    value_of(bake.verify(scene.name, ["Floor"], Settings(verify_points=4)))
     assert stamp.read(bpy.data.objects["Floor"]).light_at_bake
 
 
 def test_without_a_world_the_transfer_is_verified_still(scene, world, made_up):
     baked(scene, "Floor")
     scene.world = None
-    finish(bake.verify(scene.name, ["Floor"], Settings(verify_points=4)))
+    value_of(bake.verify(scene.name, ["Floor"], Settings(verify_points=4)))
     assert made_up.jobs[-1].light is None
 
 
@@ -291,7 +284,7 @@ def test_updating_the_light_keeps_the_baked_one(scene, world, made_up):
     baked(scene, "Floor", peaks=1)
     before = light_state.read(scene)
     turn(world, 40)
-    finish(bake.update_light(scene.name))
+    value_of(bake.update_light(scene.name))
     after = light_state.read(scene)
     np.testing.assert_array_equal(after.baked_radiance_sh, before.baked_radiance_sh)
     assert after.peaks == before.peaks != ()

@@ -14,6 +14,7 @@ from prt_baker.addon import bake
 from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.tracing.transfer import relative_rms
 from worlds import environment, new_world
 
@@ -23,21 +24,13 @@ FEW = Settings(rays=64, seed=5, threads=1, fit=False, residual=False)
 FULL = float(sh.basis([0.0, 0.0, 1.0], 1)[0])
 
 
-def finish(steps):
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value
-
-
 def baked(scene, *objects, world=True, rays=64):
     """The report of a bake, under a grey world unless there is another."""
     if world:
         new_world(scene)
     bpy.context.view_layer.update()
     settings = replace(FEW, rays=rays)
-    return finish(bake.bake(scene.name, [obj.name for obj in objects], settings))
+    return value_of(bake.bake(scene.name, [obj.name for obj in objects], settings))
 
 
 def held(obj):

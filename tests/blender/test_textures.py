@@ -25,8 +25,8 @@ from prt_baker.addon.atlas_files import Target
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.job import Settings
 from prt_baker.addon.prt.layout import Layout
+from prt_baker.addon.prt.steps import value_of
 from test_bake import baked as on_vertices
-from test_bake import finish
 from worlds import environment, generated, picture
 
 LAYOUT = Layout(3, turns=1)
@@ -50,7 +50,7 @@ def stage(scene, count=2):
 
 
 def baked(scene, names, target, settings=FEW):
-    return finish(bake.bake(scene.name, names, settings, target=target))
+    return value_of(bake.bake(scene.name, names, settings, target=target))
 
 
 def marks(*names):
@@ -167,14 +167,14 @@ class TestBake:
         names = stage(scene)
         target = saved(scene, tmp_path)
         baked(scene, names, target, replace(FEW, rays=128))
-        finish(bake.verify(scene.name, names, replace(FEW, verify_points=60, verify_rays=4096)))
+        value_of(bake.verify(scene.name, names, replace(FEW, verify_points=60, verify_rays=4096)))
         good = [mark.measured_error for mark in marks(*names)]
         assert max(good) < 0.06
         image = stamp.image_of(bpy.data.objects[names[0]])
         pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
         image.pixels.foreach_get(pixels)
         image.pixels.foreach_set(1.3 * pixels)
-        finish(bake.verify(scene.name, names, replace(FEW, verify_points=60, verify_rays=4096)))
+        value_of(bake.verify(scene.name, names, replace(FEW, verify_points=60, verify_rays=4096)))
         assert min(mark.measured_error for mark in marks(*names)) > 0.25
 
 

@@ -9,6 +9,7 @@ import shapes
 from prt_baker.addon.prt import job as jobs
 from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.run import run
+from prt_baker.addon.prt.steps import value_of
 
 FULL = float(sh.basis([0.0, 0.0, 1.0], 1)[0])  # the first coefficient of an open point
 PLAIN = {"rays": 256, "threads": 1, "fit": False, "residual": False}
@@ -18,15 +19,6 @@ def receiver(vertices, triangles, normals=None, name="shape"):
     """As ``shapes.receiver``, with the positions in float64 as Blender's side gives them."""
     made = shapes.receiver(vertices, triangles, normals, name)
     return replace(made, vertices=np.asarray(vertices, np.float64))
-
-
-def finished(steps):
-    """The value of a generator."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
 
 
 def job_of(receivers, vertices, triangles, light=None, **settings):
@@ -45,7 +37,7 @@ def bake(*things, **settings):
     """The results of ``job_of``, written, read back and run in this process."""
     with tempfile.TemporaryDirectory() as folder:
         jobs.write(job_of(*things, **settings), Path(folder))
-        return finished(run(jobs.read(Path(folder))))
+        return value_of(run(jobs.read(Path(folder))))
 
 
 def shown(results, place=0):

@@ -5,6 +5,7 @@ import pytest
 import shapes
 from prt_baker.addon.prt.job import Job, LightSource, Settings
 from prt_baker.addon.prt.run import run
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface import points
 from prt_baker.addon.prt.tracing import buried, rays
 
@@ -64,11 +65,7 @@ def bake(fit):
     settings = Settings(verify_points=1000, verify_rays=2048, fit=fit)
     job = Job("bake", settings, LightSource(), (receiver,), vertices, triangles)
     steps = run(job)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return receiver, stop.value
+    return receiver, value_of(steps)
 
 
 @pytest.fixture(scope="module")

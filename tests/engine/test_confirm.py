@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import shapes
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface.points import Points, distinct_points
 from prt_baker.addon.prt.tracing import confirm, rays, transfer
 
@@ -32,11 +33,7 @@ def transfer_of(occlusion, count, points=16):
     where = Points(np.zeros((points, 3), np.float32), np.tile(np.float32(UP), (points, 1)), None)
     out = np.empty((points, 9), np.float32)
     steps = transfer.trace_all(where, occlusion, Settings(rays=count, threads=1), out)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return out, stop.value
+    return out, value_of(steps)
 
 
 def test_a_point_in_the_dark_stays_dark():

@@ -5,6 +5,7 @@ import pytest
 import shapes
 from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface import points
 from prt_baker.addon.prt.tracing import clusters, hemisphere, horizon, rays, surroundings, transfer
 
@@ -43,11 +44,7 @@ def traced(where, vertices, triangles, count=256, **shortcuts):
     steps = transfer.trace_all(
         where, sky, Settings(rays=count), out, shortcuts=transfer.Shortcuts(**shortcuts)
     )
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return out, stop.value
+    return out, value_of(steps)
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,12 @@ import pytest
 import shapes
 from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.run import run
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface import points
 from prt_baker.addon.prt.tracing import rays
 from prt_baker.addon.prt.tracing.hemisphere import cosine_fibonacci
 from prt_baker.addon.prt.tracing.transfer import relative_rms
-from stressing import finished, job_of, needles, receiver, turned
+from stressing import job_of, needles, receiver, turned
 from test_stress_meshes import torus
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -194,7 +195,7 @@ def test_float32_and_float64_agree(make, order, cast, record_property):
     graze an edge within 1e-6, at most 1 in 1,000."""
     subject, vertices, triangles = make()
     where = points.distinct_points(subject)
-    results = finished(run(job_of([subject], vertices, triangles, rays=RAYS, order=order)))
+    results = value_of(run(job_of([subject], vertices, triangles, rays=RAYS, order=order)))
     transfer = results.receivers[0].transfer[:, 0]
     corners = np.asarray(vertices, np.float32).astype(np.float64)[triangles]
     expected, grazing, wrong = in_float64(where, corners, cast(), order)

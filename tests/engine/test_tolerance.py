@@ -4,16 +4,9 @@ import numpy as np
 import pytest
 import shapes
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface import points
 from prt_baker.addon.prt.tracing import rays, tolerance, transfer
-
-
-def finish(steps):
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
 
 
 def boxes_on_a_ground():
@@ -36,7 +29,7 @@ def scene(request):
     some = slice(3, None, len(where.origins) // 700)
     few = points.Points(where.origins[some], where.normals[some], where.element_points[:0])
     truth = np.empty((len(few.origins), 9), np.float32)
-    finish(transfer.trace_all(few, sky, Settings(rays=16384, seed=9), truth))
+    value_of(transfer.trace_all(few, sky, Settings(rays=16384, seed=9), truth))
     return where, few, truth, sky
 
 
@@ -44,21 +37,21 @@ def scene(request):
 def test_the_measured_error_is_the_one_asked_for(scene, asked):
     where, few, truth, sky = scene
     settings = Settings(tolerance=asked)
-    found = finish(tolerance.effort(where, sky, settings, transfer.Shortcuts()))
+    found = value_of(tolerance.effort(where, sky, settings, transfer.Shortcuts()))
     shortcuts = transfer.Shortcuts(pilot=found.pilot)
     result = np.empty_like(truth)
-    finish(transfer.trace_all(few, sky, Settings(rays=found.rays), result, shortcuts=shortcuts))
+    value_of(transfer.trace_all(few, sky, Settings(rays=found.rays), result, shortcuts=shortcuts))
     assert 0.7 * asked < transfer.relative_rms(result, truth) < 1.15 * asked
 
 
 def test_an_open_plane_needs_the_fewest_rays():
     where = points.distinct_points(shapes.receiver(*shapes.grid([0] * 3, [1, 0, 0], [0, 1, 0], 9)))
     settings = Settings(tolerance=0.01)
-    found = finish(tolerance.effort(where, rays.Sky(), settings, transfer.Shortcuts()))
+    found = value_of(tolerance.effort(where, rays.Sky(), settings, transfer.Shortcuts()))
     assert found.rays == tolerance.FEWEST
 
 
 def test_nothing_is_asked_of_no_points():
     empty = points.Points(*np.empty((2, 0, 3), np.float32), np.empty(0, np.int32))
     settings = Settings(tolerance=0.01)
-    assert finish(tolerance.effort(empty, rays.Sky(), settings, transfer.Shortcuts())).cast == 0
+    assert value_of(tolerance.effort(empty, rays.Sky(), settings, transfer.Shortcuts())).cast == 0

@@ -8,6 +8,7 @@ import pytest
 import shapes
 from prt_baker.addon.prt import sh, verify
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface import points
 from prt_baker.addon.prt.tracing import rays
 from prt_baker.addon.prt.vertex.parts import joined
@@ -29,11 +30,7 @@ def open_ball(factor=1.0, residual=0.0):
 def measured(ball, traced=None, light=None):
     where = points.distinct_points(ball)
     steps = verify.measure(ball, where, rays.Sky(), SETTINGS, traced=traced, light=light)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
+    return value_of(steps)
 
 
 def exact(_, normals):

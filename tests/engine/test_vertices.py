@@ -8,6 +8,7 @@ import pytest
 import shapes
 from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface.points import Points, Surface, distinct_points, element_triangles
 from prt_baker.addon.prt.surface.samples import random_places, starts
 from prt_baker.addon.prt.tracing import rays, transfer
@@ -73,7 +74,7 @@ class Bench:
             where = Points(
                 np.asarray(origins, np.float32), np.asarray(normals, np.float32), np.empty(0, int)
             )
-            finish(transfer.trace_all(where, self.sky, replace(settings, rays=count), values))
+            value_of(transfer.trace_all(where, self.sky, replace(settings, rays=count), values))
             return np.concatenate(
                 [values, *[values[:, :1] * (k + 1) for k in range(extra)]], axis=1
             )
@@ -93,20 +94,12 @@ class Bench:
         solved = solver.solve(
             self.receiver, self.points, steps, self.sky, settings, rays=count, noise=noise
         )
-        return finish(solved)
+        return value_of(solved)
 
     def error(self, values):
         corners = self.rows[self.places.triangles]
         shown = np.einsum("pk,pkc->pc", self.places.barycentric, values[corners])
         return transfer.relative_rms(shown[self.seen, :9], self.truth[self.seen])
-
-
-def finish(steps):
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
 
 
 @cache

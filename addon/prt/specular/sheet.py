@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..steps import value_of
 from . import brdf, prefilter, reads, table
 
 Array = npt.NDArray[np.float32]
@@ -82,12 +83,7 @@ def make(
     pixels: Array | None, threads: int = 0, cell: tuple[int, int] = CELL
 ) -> tuple[Sheet, Array]:
     """``fill`` from beginning to end."""
-    steps = fill(pixels, threads, cell)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value  # type: ignore[no-any-return]
+    return value_of(fill(pixels, threads, cell))
 
 
 def fill(
