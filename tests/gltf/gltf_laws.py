@@ -1,5 +1,6 @@
 """The light that a reader of the file sees is the light of the .blend."""
 
+import re
 from math import radians
 
 import bpy
@@ -9,6 +10,8 @@ from prt_baker.addon import light_state
 from prt_baker.addon.prt import sh
 
 Y_UP = np.array(Matrix(((1, 0, 0), (0, 0, 1), (0, -1, 0))))
+
+SHORT, PICTURE = 65534, 131070  # what scales are divided by for the largest error stated
 
 TURN = np.array(Euler((0.3, -0.5, radians(40))).to_matrix())
 
@@ -48,3 +51,21 @@ def assert_same_light(glb, name, transfer, now, turned):
     seen = exit_radiance(found, sh.rotate(light_of(glb, order), delta.T))
     truth = exit_radiance(expected, sh.rotate(state, turned.T))
     np.testing.assert_allclose(seen, truth, atol=1e-5)
+
+
+def stated_errors(prt, slots, steps):
+    """What docs/gltf.md says that floats ``slots`` of ``prt`` may be off in Blender's axes: a float
+    that has no direction scale / ``steps``; a coefficient its share of the errors of its band."""
+    scale = dict(zip(prt["layout"], prt["scale"], strict=True))
+    shares = np.abs(sh.rotation_matrix(Y_UP.T, 5))
+    errors = np.array([_error(slot, scale, shares) for slot in slots]) / steps
+    assert errors.any()
+    return errors
+
+
+def _error(slot, scale, shares):
+    kind, index, channel = re.fullmatch(r"([TRSV]?)(\d*)(.*)", slot).groups()
+    if kind not in {"T", "V"}:
+        return scale.get(slot, 0)
+    row = shares[int(index)]
+    return sum(row[k] * scale[f"{kind}{k}{channel}"] for k in np.flatnonzero(row > 1e-9))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from glb import Glb
 from glb_edit import of_mesh, of_scene, rewritten
-from gltf_laws import Y_UP
+from gltf_laws import SHORT, Y_UP, stated_errors
 from gltf_scenes import BAKED, monkey, plain, rotated, sheared
 from mathutils import Euler
 from prt_baker.addon import (
@@ -63,13 +63,15 @@ def test_a_round_trip_keeps_every_value(scene, bake, out, make, short):
     before, light = held(scene), light_state.read(scene)
     with gltf_panel.chosen(scene, short):
         gltf_export.write(str(out))
-    glb, scene = Glb(out), imported(out)
+    stated = {name: within(Glb(out).prt(name), short) for name in before}
+    scene = imported(out)
     after = held(scene)
     assert set(before) == set(after)
     for name, (order, rows) in before.items():
         assert after[name][0] == order
-        error = errors(glb.prt(name), rows) if short else 1e-6 * np.maximum(1, abs(rows).max(0))
-        assert (np.abs(matched(after[name][1], rows) - rows) <= error).all()
+        off = np.abs(matched(after[name][1], rows) - rows)
+        assert (off <= 1e-6 * np.maximum(1, abs(rows).max(0)) + stated[name]).all()
+        assert not short or off.max() > 0.5 * stated[name].max(), "not quantized"
         assert bpy.data.objects[name].get(stamp.SWITCH) == 1.0
         assert stamp.share(bpy.data.objects[name]) == 1.0
     found = light_state.read(scene)
@@ -81,14 +83,13 @@ def test_a_round_trip_keeps_every_value(scene, bake, out, make, short):
         assert ours.angular_radius == theirs.angular_radius
 
 
-def errors(prt, rows):
-    """What every float may be off: half a step.  One of the transfer or of what is seen, turned
-    from one frame to the other, takes its part of all errors of its band, up to 3 times the
-    largest."""
-    used = [(s, name[0]) for s, name in zip(prt["scale"], prt["layout"], strict=True) if name]
-    largest = {turned: max([s for s, kind in used if kind == turned], default=0) for turned in "TV"}
-    steps = np.array([3 * largest[kind] if kind in largest else s for s, kind in used])
-    return steps / 65534 + 1e-6 * abs(rows).max(0)
+def within(prt, short):
+    """How far every number of a row may be from what it was."""
+    used = [slot for slot in prt["layout"] if slot]
+    transfer = [slot for slot in used if slot[0] == "T"]
+    rows = [slot for c in range(prt["channels"]) for slot in transfer[c :: prt["channels"]]]
+    rows += used[len(transfer) :]
+    return stated_errors(prt, rows, SHORT) if short else np.zeros(len(rows))
 
 
 def matched(found, rows):

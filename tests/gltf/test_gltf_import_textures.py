@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from glb import Glb
 from glb_edit import of_mesh, of_texture, rewritten
+from gltf_laws import PICTURE, stated_errors
 from gltf_scenes import export, mirrored, monkey, plain, rotated
 from gltf_textured import bake_in_texture
 from prt_baker.addon import (
@@ -51,13 +52,9 @@ def matched(found, rows):
     return found[cKDTree(found).query(rows)[1]]
 
 
-def errors(prt, layout):
-    """What each float of ``layout`` may be off; one of the transfer, turned from one frame to the
-    other, takes its part of all errors of its band."""
-    scale = dict(zip(prt["layout"], prt["scale"], strict=True))
-    largest = {k: max([s for name, s in scale.items() if name[:1] == k], default=0) for k in "TV"}
-    steps = [3 * largest[s[0]] if s[:1] in largest else scale.get(s, 0) for s in layout.slots]
-    return np.array([0, 0, 0, *steps]) / 131070
+def held(obj):
+    """The texels (N, N, 4 k) of the image of ``obj``."""
+    return atlas_images.columns(stamp.image_of(obj), len(stamp.read(obj).packing.attributes))
 
 
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
@@ -66,14 +63,18 @@ def test_a_round_trip_keeps_every_value_within_the_error_stated(scene, out, tmp_
     second.modifiers.new("Subdivision", "SUBSURF")
     bake_in_texture(tmp_path, [first, second], layout)
     before = {obj.name: shown(obj) for obj in (first, second)}
-    light = light_state.read(scene)
+    texels, light = held(first), light_state.read(scene)
     gltf_export.write(str(out))
-    glb, scene = Glb(out), imported(out)
+    stated = stated_errors(Glb(out).prt("Monkey"), layout.slots, PICTURE)
+    scene = imported(out)
     for name, rows in before.items():
         obj = bpy.data.objects[name]
         assert stamp.read(obj).packing == layout
-        error = errors(glb.prt(name), layout) + 1e-5 * abs(rows).max()
-        assert (np.abs(matched(shown(obj), rows) - rows) <= error).all()
+        off = np.abs(held(obj) - texels).max(axis=(0, 1))
+        assert (off <= stated + 1e-6 * abs(texels).max()).all()
+        assert off.max() > 0.5 * stated.max(), "not quantized"
+        limit = np.array([0, 0, 0, *stated]) + 1e-5 * abs(rows).max()  # and where it is read
+        assert (np.abs(matched(shown(obj), rows) - rows) <= limit).all()
         assert obj.get(stamp.SWITCH) == 1.0
         assert stamp.share(obj) == 1.0
     np.testing.assert_allclose(light_state.read(scene).radiance_sh, light.radiance_sh, atol=1e-6)
