@@ -19,6 +19,7 @@ from . import (
     gltf_attributes,
     gltf_colors,
     gltf_frame,
+    gltf_ibl,
     gltf_panel,
     gltf_textures,
     gltf_vertices,
@@ -57,6 +58,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         self._stamped = any(stamp.KEY in obj for obj in bpy.data.objects)
         self._short = gltf_panel.wants_short(bpy.context.scene)
         self._error = gltf_panel.wanted_error(bpy.context.scene)
+        self._ibl = gltf_ibl.Lights() if gltf_panel.wants_ibl(bpy.context.scene) else None
         self._vertices: dict[bpy.types.Object, gltf_vertices.Vertices | None] = {}
         self._codes: dict[bpy.types.Object, tuple[Any, float]] = {}  # and their error
         REPORT.clear()
@@ -131,7 +133,7 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
     ) -> None:
         """Give baked nodes their transfer and all others a mesh without."""
         settings["gltf_apply"] = self._artist["gltf_apply"]
-        frame = gltf_frame.Y_UP if settings["gltf_yup"] else gltf_frame.Z_UP
+        frame = gltf_frame.of(settings)
         nodes = [n for n in settings["vtree"].nodes.values() if n.node and n.node.mesh]
         matrices = self._matrices(nodes, gltf_frame.world_matrices(scene.nodes), frame)
         light = self._lights.get(blender_scene.name)
@@ -142,8 +144,16 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
             names = ", ".join(sorted(obj.name for obj in left_out))
             _warn(settings, f"Left out the bake of {names}: it is out of date, bake again")
         scene.extras = _without_ours(scene.extras)
+        if self._ibl is not None:
+            self._add_ibl(self._ibl, scene, blender_scene.name, settings)
         if light is not None and matrices:
             scene.extras = {**(scene.extras or {}), "prt_light": _light(light, frame)}
+
+    def _add_ibl(self, lights: gltf_ibl.Lights, scene: Any, name: str, settings: Settings) -> None:
+        lights.dress(scene, name, gltf_frame.of(settings))
+        if name in lights.problems:
+            problem = lights.problems[name]
+            _warn(settings, f"Left out the image-based light of {name}: {problem}")
 
     def gather_gltf_hook(
         self, _active: Any, _scenes: Any, animations: list[Any], _settings: Settings

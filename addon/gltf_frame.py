@@ -4,7 +4,7 @@ The exporter turns positions, normals and nodes; attributes it leaves alone, so 
 are turned here.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,11 @@ Float = npt.NDArray[np.float64]
 
 Y_UP: Float = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 Z_UP: Float = np.eye(3)  # an export with +Y Up switched off
+
+
+def of(settings: Mapping[str, Any]) -> Float:
+    """The frame of an export with these ``settings`` of the exporter."""
+    return Y_UP if settings["gltf_yup"] else Z_UP
 
 
 def turned(

@@ -21,15 +21,24 @@ def wanted_error(scene: bpy.types.Scene) -> float:
     return chosen.gltf_error / 100 if chosen is not None and chosen.gltf_compress else 0.0
 
 
+def wants_ibl(scene: bpy.types.Scene) -> bool:
+    """Whether stock viewers are to be lit by the worlds."""
+    chosen = getattr(scene, "prt", None)
+    return chosen is not None and bool(chosen.gltf_ibl)
+
+
 @contextmanager
 def chosen(
-    scene: bpy.types.Scene, short: bool | None, error: float | None = None
+    scene: bpy.types.Scene,
+    short: bool | None,
+    error: float | None = None,
+    ibl: bool | None = None,
 ) -> Iterator[None]:
-    """Inside, ``short`` and compression with ``error`` are what the artist chose; None leaves it to
-    him."""
-    names = ("gltf_short", "gltf_compress", "gltf_error")
+    """Inside, ``short``, compression with ``error`` and ``ibl`` are what the artist chose; None
+    leaves it to him."""
+    names = ("gltf_short", "gltf_compress", "gltf_error", "gltf_ibl")
     before = [getattr(scene.prt, name) for name in names]
-    wanted = (short, error and True, error and 100 * error)
+    wanted = (short, error and True, error and 100 * error, ibl)
     for name, value in zip(names, wanted, strict=True):
         if value is not None:
             setattr(scene.prt, name, value)
@@ -55,6 +64,7 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         error = body.row()
         error.active = settings.gltf_compress
         error.prop(settings, "gltf_error")
+        body.prop(settings, "gltf_ibl")
 
 
 def register() -> None:

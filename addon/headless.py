@@ -156,7 +156,8 @@ def _write(asked: Options, places: dict[Path, Path], names: list[str], report: R
     if asked.save:
         _save(asked.save, places[asked.save])
     if asked.gltf:
-        with gltf_panel.chosen(bpy.context.scene, asked.gltf_short, asked.gltf_error):
+        wanted = (asked.gltf_short, asked.gltf_error, asked.gltf_ibl)
+        with gltf_panel.chosen(bpy.context.scene, *wanted):
             gltf_export.write(str(places[asked.gltf]), names)
         report["gltf"] = list(gltf.REPORT)
     if asked.report:

@@ -46,6 +46,7 @@ class Options:
     gltf: Path | None
     gltf_short: bool | None
     gltf_error: float | None
+    gltf_ibl: bool | None
     report: Path | None
     verify: bool
 
@@ -202,6 +203,12 @@ def _add_where(parser: _Parser) -> None:
         type=_share,
         metavar="E",
         help="bakes on vertices in the .glb compressed to this error of the light: 0.01 or 1%%",
+    )
+    add(
+        "--gltf-ibl",
+        action="store_const",
+        const=True,
+        help="the world in the .glb as an image-based light, for viewers that know no bakes",
     )
     add("--report", type=Path, metavar="OUT.json", help="write the figures of the bake")
     add("--verify", action="store_true", help="trace some points again and print the error")

@@ -150,6 +150,13 @@ class PRT_PG_settings(bpy.types.PropertyGroup):
         subtype="PERCENTAGE",
         options=set(),
     )
+    gltf_ibl: bpy.props.BoolProperty(
+        name="Light for Other Viewers",
+        description="Write the world as an image-based light, so that a viewer that does not know "
+        "bakes lights the plain materials by it: Babylon.js does. About 1 MB",
+        default=False,
+        options=set(),
+    )
     carrier: bpy.props.EnumProperty(
         name="Bake To",
         description="Where the bake is kept",

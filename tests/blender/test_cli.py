@@ -39,18 +39,19 @@ def asked(cube, monkeypatch):
     return calls
 
 
-def test_the_glb_is_short_where_that_is_asked_for(scene, asked, monkeypatch, tmp_path):
+@pytest.mark.parametrize("name", ["gltf_short", "gltf_ibl"])
+def test_the_glb_is_as_it_is_asked_for(scene, asked, monkeypatch, tmp_path, name):
     chosen = []
 
     def write(path, _names):
-        chosen.append(scene.prt.gltf_short)
+        chosen.append(getattr(scene.prt, name))
         Path(path).write_bytes(b"glTF")
 
     monkeypatch.setattr(gltf_export, "write", write)
-    for options in ([], ["--gltf-short"]):
+    for options in ([], [f"--{name.replace('_', '-')}"]):
         assert cli.command(["--gltf", str(tmp_path / "a.glb"), *options]) == 0
     assert chosen == [False, True]
-    assert not scene.prt.gltf_short
+    assert not getattr(scene.prt, name)
 
 
 def test_the_glb_is_compressed_to_the_error_asked_for(scene, asked, monkeypatch, tmp_path):

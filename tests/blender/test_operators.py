@@ -159,7 +159,8 @@ def test_only_settings_are_saved(scene):
     kept = {prop.identifier for prop in scene.prt.bl_rna.properties if not prop.is_readonly}
     exact = {"residual", "turns", "peaks", "final_light"}
     plain = {"name", "order", "quality", "rays", "tolerance", "seed", "threads"}
-    plain |= {"gltf_short", "gltf_compress", "gltf_error", "reflections", "visibility_order"}
+    plain |= {"gltf_short", "gltf_compress", "gltf_error", "gltf_ibl"}
+    plain |= {"reflections", "visibility_order"}
     texture = {"size_by", "resolution", "texel_density", "shared_atlas", "padding_mip", "half"}
     where = {"carrier", "image_folder", "pack_images", "bounces", "all_bounces"}
     assert kept == plain | exact | texture | where

@@ -4,7 +4,8 @@ import zlib
 
 import numpy as np
 
-RGB, UP = 2, 2
+CHANNELS = {2: 3, 6: 4}  # by PNG's number of the colour type
+UP = 2
 
 
 def chunks(data):
@@ -18,13 +19,14 @@ def chunks(data):
 
 
 def pixels_of(data):
-    """Pixels (H, W, 3) of a PNG of 8 bits without a colour space."""
+    """Pixels (H, W, 3 or 4) of a PNG of 8 bits without a colour space."""
     found = list(chunks(data))
     assert {kind for kind, _ in found} == {b"IHDR", b"IDAT", b"IEND"}
     head = found[0][1]
     width, height = int.from_bytes(head[:4]), int.from_bytes(head[4:8])
-    assert tuple(head[8:]) == (8, RGB, 0, 0, 0)
+    assert tuple(head[8:9] + head[10:]) == (8, 0, 0, 0)
+    channels = CHANNELS[head[9]]
     packed = zlib.decompress(b"".join(body for kind, body in found if kind == b"IDAT"))
-    lines = np.frombuffer(packed, np.uint8).reshape(height, 1 + 3 * width)
+    lines = np.frombuffer(packed, np.uint8).reshape(height, 1 + channels * width)
     assert (lines[:, 0] == UP).all()
-    return np.cumsum(lines[:, 1:], axis=0, dtype=np.uint8).reshape(height, width, 3)
+    return np.cumsum(lines[:, 1:], axis=0, dtype=np.uint8).reshape(height, width, channels)

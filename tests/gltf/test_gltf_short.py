@@ -124,7 +124,7 @@ class Noting:
 def test_it_is_chosen_in_a_panel_of_the_exporter(registered, scene):
     layout = Noting()
     io_scene_gltf2.export_panel_user_extension(bpy.context, layout)
-    assert layout.shown == ["PRT Baker", "gltf_short", "gltf_compress", "gltf_error"]
+    assert layout.shown == ["PRT Baker", "gltf_short", "gltf_compress", "gltf_error", "gltf_ibl"]
 
 
 def test_no_panel_is_left_behind(registered):
