@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Generic, TypeVar
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from .bounces.hits import Gathered, Recorder
 from .bounces.keeper import Keeper, keep, retrace
+from .bounces.sources import channels_of
 from .cache import Cache, Keys
 from .cache import Entry as Kept
 from .errors import BakeError
@@ -24,7 +25,7 @@ from .tape import Remembered, Tape
 from .tracing.rays import Geometry, occlusion
 from .tracing.surroundings import Surroundings
 from .tracing.tolerance import FALL, Effort, effort
-from .tracing.transfer import CAST, MAP_RAYS, Counts, Shortcuts, estimate_error, trace_all
+from .tracing.transfer import CAST, MAP_RAYS, Counts, Look, Shortcuts, estimate_error, trace_all
 from .vertex.solver import Solved, pilot_error, solve
 from .vertex.traced import Found
 
@@ -50,8 +51,11 @@ class Far:
 class Scene:
     """What all receivers of a job share."""
 
-    def __init__(self, job: Job, world: World, cache: Cache, meter: Meter) -> None:
+    def __init__(
+        self, job: Job, world: World, cache: Cache, meter: Meter, whole: "Scene | None" = None
+    ) -> None:
         self.job, self.world, self.cache, self.meter = job, world, cache, meter
+        self._whole = whole
         self._keys = Keys(job)
         self.surroundings = Surroundings(
             job.occluder_vertices, job.occluder_triangles, job.occluder_starts
@@ -60,9 +64,22 @@ class Scene:
     @cached_property
     def occlusion(self) -> Geometry:
         """Embree over everything, built when the first ray is cast."""
+        if self._whole is not None:
+            return self._whole.occlusion
         with self.meter.phase("acceleration structure"):
             job = self.job
             return occlusion(job.occluder_vertices, job.occluder_triangles, self._rays())
+
+    @property
+    def channels(self) -> int:
+        """Of the transfer: three where colours bounce."""
+        return channels_of(np.asarray(self.job.occluder_albedo)) if self.job.bounces else 1
+
+    def only(self, indices: Sequence[int]) -> "Scene":
+        """The same for some of the receivers; the others are mere occluders."""
+        receivers = tuple(self.job.receivers[i] for i in indices)
+        job = replace(self.job, receivers=receivers)
+        return Scene(job, self.world, self.cache, self.meter, whole=self)
 
     def _rays(self) -> int:
         """About how many a bake of everything casts that may slip: none whose hits are kept."""
@@ -154,6 +171,7 @@ class Bake(ABC, Generic[What]):
     ) -> None:
         self._scene, self._points, self._tape, self._keeper = scene, points, tape, keeper
         self.met: list[Gathered] = []
+        self._look: Look | None = None
         self._receiver, self._settings = scene.job.receivers[index], scene.job.settings
         self._occlusion = Remembered(lambda: scene.occlusion, tape)
         self._counts: Counts = Counter()
@@ -179,7 +197,8 @@ class Bake(ABC, Generic[What]):
                 steps = effort(self._pilots, self._occlusion, self._settings, self._shortcuts)
                 self._effort = yield from meter.follow("effort", steps, 0, 1)
             self._counts[CAST] += self._effort.cast
-        self._shortcuts = replace(self._shortcuts, pilot=0 if self._keeper else self._effort.pilot)
+        pilot = 0 if self._looks() else self._effort.pilot
+        self._shortcuts = replace(self._shortcuts, pilot=pilot)
         expected = self._expected * (self._effort.rays + self._map_rays())
         with meter.phase("transfer"):
             found = self._found()
@@ -196,6 +215,10 @@ class Bake(ABC, Generic[What]):
     @abstractmethod
     def _found(self) -> Generator[int, None, What]:
         """What there is to find.  Yields the rays cast so far."""
+
+    def _looks(self) -> bool:
+        """Whether something looks at where rays end, and wants to see all of them."""
+        return self._keeper is not None
 
     def _map_rays(self) -> float:
         """About how many rays a point traces towards the map's light."""
@@ -216,7 +239,7 @@ class Bake(ABC, Generic[What]):
             self._occlusion,
             replace(self._settings, rays=rays),
             values,
-            shortcuts=replace(self._shortcuts, bits=bits, look=recorder),
+            shortcuts=replace(self._shortcuts, bits=bits, look=self._look or recorder),
             gather=gather,
             visibility_order=visibility_order,
         )

@@ -9,6 +9,10 @@ and the transfer is the sum of all B_k.  1/pi and the albedo of what is met are 
 albedo of the surface itself is not.  What the gather reads at y are the values of the points there;
 what it fills are the places that were traced, from which points get their values as they do without
 bounces.
+
+Texels are known only once they are traced.  For receivers in textures light bounces among places on
+everything about them (``Surfaces``), and the rays of a texel gather once, as they are traced, what
+leaves there.
 """
 
 import hashlib
@@ -23,20 +27,22 @@ from . import sh
 from .baking import Baked, Far, Scene, Work, prepared, unchanged
 from .bands import exit_radiance
 from .bounces.entries import Entries
-from .bounces.hits import Gathered
+from .bounces.hits import Gathered, Leaving
 from .bounces.keeper import Keeper, keep, retrace
-from .bounces.sources import Sources, channels_of, entry_albedo
+from .bounces.sources import Sources, entry_albedo
 from .bounces.unbaked import ROUNDS, Unbaked
 from .digests import add_array
 from .job import ALL, RECEIVER_ARRAYS, Job, Progress
 from .results import RESULT_ARRAYS, ReceiverResult
 from .surface.points import Points
 from .tape import Tape
+from .texture.places import pilot_points
 from .tracing.transfer import CAST, MAP_RAYS, Counts, Shortcuts, trace_all
 from .vertex.solver import Solved
 
 Array = npt.NDArray[np.float32]
 Index = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
 MOST = 256  # bounces, where they go on until nothing is left
 LEFT = 1e-3  # of the light may be left out by the bounces that are not followed, without tolerance
@@ -63,7 +69,7 @@ def bake_all(scene: Scene) -> Generator[Progress, None, list[Baked]]:
     for index, (_, tape_key) in enumerate(keys):
         yield from bounces.direct(index, Tape(scene.cache, tape_key))
     with meter.phase("bounces"):
-        yield from bounces.unbaked()
+        yield from bounces.unbaked(bounces.met())
         yield from bounces.follow()
         baked = [bounces.baked(index) for index in range(len(points))]
     for (key, _), one in zip(keys, baked, strict=True):
@@ -113,7 +119,7 @@ class _Direct:
 
 class Bounces:
     """The receivers of a job with P points in all, and N nodes, which are these points and places
-    on what is not baked.
+    on what is not baked; without points all nodes are such places.
 
     K columns: the transfer, channel by channel, then three for each turn of exact light.
     """
@@ -124,7 +130,7 @@ class Bounces:
         self._scene, self._points, self._entries, self._tape = scene, points, entries, tape
         job = scene.job
         self._settings = job.settings
-        self._channels = channels_of(np.asarray(job.occluder_albedo))
+        self._channels = scene.channels
         self._coefficients, self._turns = job.settings.order**2, scene.world.turns
         of_transfer = np.repeat(np.arange(self._channels), self._coefficients)
         self._channel = np.concatenate([of_transfer, np.tile(np.arange(3), self._turns)])
@@ -132,10 +138,9 @@ class Bounces:
             lambda: scene.occlusion, entries, job.settings.seed, job.settings.threads
         )
         self._direct: list[_Direct] = []
-        total = sum(len(its.origins) for its in points)
-        self._unbaked = Unbaked(
-            entries, np.asarray(job.occluder_vertices), np.asarray(job.occluder_triangles), total
-        )
+        self._count = sum(len(its.origins) for its in points)
+        vertices, triangles = job.occluder_vertices, job.occluder_triangles
+        self._unbaked = Unbaked(entries, np.asarray(vertices), np.asarray(triangles), self._count)
         self._found: list[Array] = []
         self._report: dict[str, Any] = {}
 
@@ -147,12 +152,31 @@ class Bounces:
         nodes = slice(before, before + len(self._points[index].origins))
         self._direct.append(_Direct(work, solved, nodes))
 
-    def unbaked(self) -> Generator[Progress, None, None]:
-        """Trace places on what is met and not baked, as far as the bounces reach."""
-        meter, before, rounds = self._scene.meter, 0, _rounds(self._settings.bounces)
+    def met(self) -> Mask:
+        """The entries (2 count,) that the rays of the receivers end at."""
         used = np.zeros(2 * self._entries.count, bool)
         for one in self._direct:
             _mark(used, one.work.met, one.solved.projection.unseen)
+        return used
+
+    def glanced(self, indices: Sequence[int]) -> Generator[Progress, None, Mask]:
+        """As ``met``, from some places on the receivers ``indices``, which have no points."""
+        scene, settings = self._scene, self._settings
+        used = np.zeros(2 * self._entries.count, bool)
+        for index in indices:
+            places = pilot_points(scene.job.receivers[index], seed=settings.seed)
+            again = retrace(places, scene.occlusion, settings, Shortcuts())
+            recorder = self._keeper.recorder()
+            yield from scene.meter.follow("bounces", again(recorder), 0, 1)
+            count = len(places.origins)
+            its = self._keeper.taken(recorder, count, settings.rays, again)
+            _mark(used, [its], np.zeros(count, bool))
+        return used
+
+    def unbaked(self, used: Mask) -> Generator[Progress, None, None]:
+        """Trace places on those of the entries ``used`` (2 count,) that are not baked, and on what
+        is met from there, as far as the bounces reach."""
+        meter, before, rounds = self._scene.meter, 0, _rounds(self._settings.bounces)
         for k in range(rounds):
             steps = self._unbaked.add(
                 np.flatnonzero(used), self._trace, self._settings.rays, k == rounds - 1
@@ -192,18 +216,21 @@ class Bounces:
         again = retrace(places, occlusion, settings, Shortcuts())
         return values, keep(self._keeper, self._tape, recorder, len(values), rays, again), counts
 
-    def follow(self) -> Generator[Progress, None, None]:
+    def follow(self) -> Generator[Progress, None, tuple[Sources, Array]]:
         """Follow the light from bounce to bounce, and add up what arrives at the places that were
-        traced."""
+        traced.  The value is all sources, and what arrives in all at the nodes of the receivers
+        (P, K); where there are none, at all nodes and with a bounce less, for that is the one of
+        those who gather there."""
         sources, values = self._sources(), self._arriving()
-        receivers = slice(0, self._direct[-1].nodes.stop)
-        total = values[receivers].copy()
+        mine = slice(0, self._count or len(values))
+        total = values[mine].copy()
         columns = len(self._channel)
         places = [len(one.solved.traced.rays) for one in self._direct]
         self._found = [np.zeros((count, columns), np.float32) for count in places]
         added: list[float] = []
         wanted = self._settings.bounces
-        for _ in range(MOST if wanted == ALL else wanted):
+        most = MOST if wanted == ALL else wanted - (not self._count)
+        for _ in range(most):
             table = sources.table(values, self._channel)
             values = np.zeros_like(values)
             for index, one in enumerate(self._direct):
@@ -213,11 +240,12 @@ class Bounces:
                 values[one.nodes] = one.solved.projection.rough(found)
             yield from self._gather_unbaked(table, sources, values)
             _bound(values, self._channels, self._coefficients)
-            total += values[receivers]
-            added.append(_rms(values[receivers]) / max(_rms(total), 1e-300))
+            total += values[mine]
+            added.append(_rms(values[mine]) / max(_rms(total), 1e-300))
             if added[-1] < NOTHING or (wanted == ALL and self._is_done(added)):
                 break
-        self._report.update(bounces=len(added), added=added)
+        self._report.update(bounces=len(added) + (not self._count), added=added)
+        return sources, total
 
     def _is_done(self, added: list[float]) -> bool:
         """Whether the bounces after those that ``added`` their share are too little to follow."""
@@ -240,7 +268,7 @@ class Bounces:
         self, table: Array, sources: Sources, values: Array
     ) -> Generator[Progress, None, None]:
         """Fill the nodes that are not baked."""
-        before = self._direct[-1].nodes.stop
+        before = self._count
         for met, direct in zip(self._unbaked.gathered, self._unbaked.values, strict=True):
             rows = values[before : before + len(direct)]
             if met is not None:
@@ -258,7 +286,8 @@ class Bounces:
     def _arriving(self) -> Array:
         """What arrives at all nodes directly (N, K)."""
         direct = [self._columns(self._with_light(one.solved.values)) for one in self._direct]
-        return np.concatenate([*direct, *map(self._columns, self._unbaked.values)])
+        nowhere = np.zeros((0, len(self._channel)), np.float32)
+        return np.concatenate([nowhere, *direct, *map(self._columns, self._unbaked.values)])
 
     def _with_light(self, values: Array) -> Array:
         """``values`` (P, n² + 3 turns + peaks) with exact exit radiance instead of residuals."""
@@ -273,44 +302,63 @@ class Bounces:
         transfer = np.tile(values[:, :n], (1, self._channels))
         return np.concatenate([transfer, np.maximum(values[:, n : n + light], 0)], axis=1)
 
+    def leaving(self, sources: Sources, total: Array) -> tuple[Leaving, dict[str, Any]]:
+        """What leaves ``sources`` where ``total`` (N, K) arrives, for a final gather, and what the
+        report says of it."""
+        table = sources.table(total, self._channel)
+        report = {**self._report, "channels": self._channels}
+        return Leaving(self._keeper.meeting, table, sources.of_entries), report
+
     def baked(self, index: int) -> Baked:
         """Receiver ``index`` with all light."""
         one, points = self._direct[index], self._points[index]
         plain = one.work.result(one.solved)
         more = one.solved.projection.final(self._found[index])
-        transfer, light = self._split(more)
-        first = transfer[:, :, 0]
-        np.maximum(first, 0, out=first)
-        transfer += plain.transfer
-        np.minimum(first, OPEN, out=first)  # a white sky lights nothing more than white
-        residual = plain.residual
-        if self._turns:
-            residual = self._residual(one.solved.values, plain, transfer, light)
-        result = replace(plain, transfer=transfer, residual=residual)
+        result = with_bounces(self._scene, plain, more)
         entry = {**one.work.entry(one.solved), **self._report, "channels": self._channels}
         return Baked(result, entry, points, one.solved)
 
-    def _split(self, columns: Array) -> tuple[Array, Array]:
-        """Transfer (P, channels, n²) and light (P, turns, 3) of ``columns`` (P, K)."""
-        count, end = len(columns), self._channels * self._coefficients
-        transfer = columns[:, :end].reshape(count, self._channels, self._coefficients)
-        return transfer.copy(), columns[:, end:].reshape(count, self._turns, 3)
 
-    def _residual(
-        self, values: Array, plain: ReceiverResult, transfer: Array, light: Array
-    ) -> Array:
-        """What ``transfer`` and the peaks miss of the exact light (P, turns, 3): of ``values``,
-        which arrive directly, and the ``light`` of the bounces."""
-        world = self._scene.world.exact
-        assert world is not None
-        start = self._coefficients
-        exact = self._with_light(values)[:, start : start + 3 * self._turns]
-        residual = exact.reshape(light.shape) + np.maximum(light, 0)
-        for k, radiance in enumerate(world.radiance_sh):
-            residual[:, k] -= exit_radiance(transfer, radiance[:start])
-        if len(world.lights):
-            residual[:, 0] -= plain.visibility @ world.lights.astype(np.float32)
-        return np.asarray(residual, np.float32)
+def with_bounces(scene: Scene, plain: ReceiverResult, more: Array) -> ReceiverResult:
+    """``plain``, the direct light alone, and the light of bounces, ``more`` (P, K): transfer,
+    channel by channel, then exact light."""
+    coefficients, turns = plain.transfer.shape[2], plain.residual.shape[1]
+    channels = (more.shape[1] - 3 * turns) // coefficients
+    added, light = np.split(more, [channels * coefficients], axis=1)
+    transfer = added.reshape(len(more), channels, coefficients).copy()
+    first = transfer[:, :, 0]
+    np.maximum(first, 0, out=first)
+    transfer += plain.transfer
+    np.minimum(first, OPEN, out=first)  # a white sky lights nothing more than white
+    residual = plain.residual + np.maximum(light, 0).reshape(len(more), turns, 3)
+    if turns:
+        assert scene.world.exact is not None
+        for k, radiance in enumerate(scene.world.exact.radiance_sh):
+            its = radiance[:coefficients]
+            residual[:, k] -= exit_radiance(transfer, its) - exit_radiance(plain.transfer, its)
+    return replace(plain, transfer=transfer, residual=residual.astype(np.float32))
+
+
+class Surfaces:
+    """What surrounds receivers in textures, ``indices`` of the scene's job, and sends light back to
+    them.  ``key`` names all that this depends on."""
+
+    def __init__(self, scene: Scene, indices: Sequence[int]) -> None:
+        self._scene, self._indices = scene, indices
+        self._entries = Entries.of(scene.job, ())
+        self.key = _far(scene.job, self._entries).result
+        self.report: dict[str, Any] = {}
+        self._leaving: Leaving | None = None
+
+    def leaving(self) -> Generator[Progress, None, Leaving]:
+        """All light that leaves them, which is followed the first time."""
+        if self._leaving is None:
+            bounces = Bounces(self._scene, (), self._entries, Tape(self._scene.cache, ""))
+            with self._scene.meter.phase("bounces"):
+                yield from bounces.unbaked((yield from bounces.glanced(self._indices)))
+                sources, total = yield from bounces.follow()
+            self._leaving, self.report = bounces.leaving(sources, total)
+        return self._leaving
 
 
 def _bound(values: Array, channels: int, coefficients: int) -> None:

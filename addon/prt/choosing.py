@@ -49,11 +49,6 @@ def decided(scene: Scene) -> Generator[Progress, None, tuple[Job, dict[int, Choi
     """The scene's job, in which every receiver has a carrier, and what was predicted of those that
     had none.  Receivers that share materials are decided for together."""
     job = scene.job
-    if job.bounces:  # which lie on vertices alone
-        settled = [
-            replace(r, carrier="vertex") if r.carrier == "auto" else r for r in job.receivers
-        ]
-        return replace(job, receivers=tuple(settled)), {}
     open_ones = [i for i, receiver in enumerate(job.receivers) if receiver.carrier == "auto"]
     areas = {i: float(Surface.of(job.receivers[i]).areas.sum()) for i in open_ones}
     choices: dict[int, Choice] = {}
@@ -106,7 +101,7 @@ def _choice(
         texels = USED * share * settings.resolution**2
     spacing = sqrt(len(points.origins) / max(texels, 1.0))
     turns, visibility = scene.world.turns, settings.visibility_order
-    slots = len(Layout(settings.order, 1, turns, settings.peaks, visibility).slots)
+    slots = len(Layout(settings.order, scene.channels, turns, settings.peaks, visibility).slots)
     return Choice(
         error,
         error * min(1.0, spacing),

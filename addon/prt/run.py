@@ -12,7 +12,6 @@ from . import VERSION, bands, choosing
 from .baking import Baked, Scene, bake
 from .bounces.walks import Walls
 from .cache import Cache
-from .errors import BakeError
 from .files import images
 from .job import Job, Progress, Receiver, content_hash
 from .light.world import World
@@ -90,15 +89,12 @@ def _bake(
 ) -> Generator[Progress, None, tuple[list[ReceiverResult], "list[Sheet]"]]:
     """Bake every receiver, with an entry of the report for each, and lay out the atlases."""
     on_vertices, in_textures = (_in(scene.job, carrier) for carrier in ("vertex", "texture"))
-    if scene.job.bounces and in_textures:
-        raise BakeError(
-            "Bounced light goes to vertices alone so far: choose them, or leave the bounces out"
-        )
     bakes: dict[int, Baked] = {}
-    if scene.job.bounces:
+    if scene.job.bounces and on_vertices:
         from .bounced import bake_all
 
-        bakes = dict(enumerate((yield from bake_all(scene))))
+        found = yield from bake_all(scene.only(on_vertices))
+        bakes = dict(zip(on_vertices, found, strict=True))
     for index in on_vertices:
         receiver = scene.job.receivers[index]
         if not scene.job.bounces:
@@ -117,7 +113,9 @@ def _bake_textures(
 ) -> Generator[Progress, None, "list[Sheet]"]:
     """The sheets of the receivers ``in_textures``, which are put into ``bakes``."""
     from . import texturing
+    from .bounced import Surfaces
 
+    surfaces = Surfaces(scene, in_textures) if scene.job.bounces else None
     sheets = []
     for number, plan in enumerate(texturing.plans(scene.job, in_textures)):
         yield scene.meter.progress("unwrap")
@@ -125,7 +123,7 @@ def _bake_textures(
         sheets.append(sheet)
         for index in plan.receivers:
             yield scene.meter.progress("prepare")
-            bakes[index] = yield from texturing.bake_texels(scene, index, sheet, number)
+            bakes[index] = yield from texturing.bake_texels(scene, index, sheet, number, surfaces)
             if scene.job.settings.verify_points:
                 yield from _measure_texels(scene, index, sheet, bakes[index])
     return sheets

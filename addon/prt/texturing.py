@@ -14,6 +14,8 @@ from . import layout as layouts
 from .atlas.unwrap import unwrap
 from .atlas.uv_map import OVERLAPPING, overlap, problem
 from .baking import Bake, Baked, Far, Scene, prepared, unchanged
+from .bounced import Surfaces, with_bounces
+from .bounces.hits import Leaving
 from .errors import BakeError
 from .job import Job, Progress, Receiver
 from .layout import Layout
@@ -119,14 +121,15 @@ def laid_out(scene: Scene, plan: Plan) -> Generator[Progress, None, Sheet]:
 
 
 def bake_texels(
-    scene: Scene, index: int, sheet: Sheet, number: int
+    scene: Scene, index: int, sheet: Sheet, number: int, surfaces: Surfaces | None
 ) -> Generator[Progress, None, Baked]:
-    """Bake receiver ``index`` of the scene's job into atlas ``number``, or find it in the cache."""
+    """Bake receiver ``index`` of the scene's job into atlas ``number``, or find it in the cache;
+    with the light that bounces off ``surfaces``."""
     receiver, uvs = scene.job.receivers[index], sheet.uvs[sheet.plan.receivers.index(index)]
     with scene.meter.phase("prepare"):
         points = prepared(receiver)
         digest = hashlib.blake2b(np.ascontiguousarray(uvs), digest_size=20)
-        digest.update(json.dumps(sheet.size).encode())
+        digest.update(json.dumps(sheet.size).encode() + (surfaces.key if surfaces else b""))
         result_key, _ = scene.keys(index, points, Far(digest.digest()))
         known = scene.cache.get(result_key) if result_key else None
     about = {
@@ -142,10 +145,11 @@ def bake_texels(
         scene.meter.done += TRACED * len(where.texels)
         result = replace(baked.result, in_atlas=where)
         return replace(baked, result=result, entry={**baked.entry, **about})
-    work = TextureWork(scene, index, points, sheet, uvs)
+    leaving = (yield from surfaces.leaving()) if surfaces else None
+    work = TextureWork(scene, index, points, sheet, uvs, leaving)
     solved = yield from work.solve()
     result = replace(work.result(solved), in_atlas=InAtlas(number, uvs, work.texels))
-    entry = {**work.entry(solved), **about}
+    entry = {**work.entry(solved), **about, **(surfaces.report if surfaces else {})}
     if result_key:
         kept = {name: getattr(result, name) for name in RESULT_ARRAYS}
         scene.cache.put(result_key, {**kept, "texels": work.texels}, entry)
@@ -153,13 +157,22 @@ def bake_texels(
 
 
 class TextureWork(Bake[Found]):
-    """The bake of one receiver into its texels.  Which of them are traced follows from the light
-    too, so no tape of their rays could be played under another one."""
+    """The bake of one receiver into its texels, with what is ``leaving`` the surfaces about it.
+    Which texels are traced follows from the light too, so no tape of their rays could be played
+    under another one."""
 
-    def __init__(self, scene: Scene, index: int, points: Points, sheet: Sheet, uvs: Array) -> None:
+    def __init__(  # noqa: PLR0917 - one caller
+        self,
+        scene: Scene,
+        index: int,
+        points: Points,
+        sheet: Sheet,
+        uvs: Array,
+        leaving: Leaving | None,
+    ) -> None:
         expected = max(1, round(TRACED * USED * sheet.size**2 / len(sheet.uvs)))
         super().__init__(scene, index, points, Tape(scene.cache, ""), expected=expected)
-        self._uvs, self._size = uvs, sheet.size
+        self._uvs, self._size, self._leaving = uvs, sheet.size, leaving
         self._pilots = pilot_points(self._receiver, seed=self._settings.seed)
         self.texels = np.empty(0, np.int64)
 
@@ -177,9 +190,37 @@ class TextureWork(Bake[Found]):
             rays=self._effort.rays,
             noise=self._effort.noise,
             light=light,
+            bounced=self._leaving.table.shape[1] if self._leaving else 0,
         )
         self.texels = found.index
         return Found(found.values, {**found.entry, "points": len(found.index)}, found.traced)
+
+    def _looks(self) -> bool:
+        """See Bake."""
+        return self._leaving is not None
+
+    def _trace(self, origins: Array, normals: Array, rays: int) -> Generator[int, None, Array]:
+        """As without bounces, and what these bring, before the visibility."""
+        if self._leaving is None:
+            return (yield from super()._trace(origins, normals, rays))
+        more = np.zeros((len(origins), self._leaving.table.shape[1]), np.float32)
+        self._look = self._leaving.look(rays, more)
+        direct, seen = self._apart((yield from super()._trace(origins, normals, rays)))
+        return np.concatenate([direct, more, seen], axis=1)
+
+    def _apart(self, values: Array) -> tuple[Array, Array]:
+        """``values`` (M, K) without the visibility, and that."""
+        count = values.shape[1] - self._settings.visibility_order**2
+        return values[:, :count], values[:, count:]
+
+    def result(self, solved: Found) -> ReceiverResult:
+        """See Bake."""
+        if self._leaving is None:
+            return super().result(solved)
+        rest, seen = self._apart(solved.values)
+        direct, more = np.split(rest, [rest.shape[1] - self._leaving.table.shape[1]], axis=1)
+        plain = super().result(replace(solved, values=np.concatenate([direct, seen], axis=1)))
+        return with_bounces(self._scene, plain, more)
 
 
 def between_texels(
@@ -317,5 +358,5 @@ def _columns(scene: Scene) -> tuple[str, ...]:
     """What a texel holds at most."""
     settings = scene.job.settings
     turns, visibility = scene.world.turns, settings.visibility_order
-    layout = Layout(settings.order, 1, turns, settings.peaks, visibility)
+    layout = Layout(settings.order, scene.channels, turns, settings.peaks, visibility)
     return tuple(name for name in layout.slots if name)

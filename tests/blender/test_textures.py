@@ -78,13 +78,19 @@ class TestBake:
             assert obj.data.uv_layers["Mine"].active_render
             assert stale.reason(obj, mark) is None
 
-    def test_it_looks_like_a_bake_on_many_vertices(self, scene, tmp_path):
+    @pytest.mark.parametrize("bounces", [0, 2])
+    def test_it_looks_like_a_bake_on_many_vertices(self, scene, tmp_path, bounces):
+        """With bounces the upper square is red from below, and so is what it lights."""
         names = stage(scene)
+        above = bpy.data.materials["M1"].node_tree.nodes["Principled BSDF"]
+        above.inputs["Base Color"].default_value = (0.9, 0.2, 0.1, 1)
         target = saved(scene, tmp_path)
         look_down(scene, 1, 1)
         scene.camera.location.z = 0.3  # under the upper square
-        many = replace(FEW, rays=256, resolution=128)
+        many = replace(FEW, rays=256, resolution=128, bounces=bounces)
         baked(scene, names, target, many)
+        [mark] = marks(names[0])
+        assert (mark.bounces, mark.channels) == (bounces, 3 if bounces else 1)
         first = colour(render(scene, tmp_path), "Combined")
         remove.remove(scene, [bpy.data.objects[name] for name in names])
         for name in names:

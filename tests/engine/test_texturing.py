@@ -174,13 +174,6 @@ def test_verify_measures_what_is_between_texels(job):
         assert measured["on_surface"] < 2 * entry["surface_error"] + 0.01
 
 
-def test_bounces_and_textures_together_are_refused(job):
-    albedo = np.full((len(job.occluder_triangles), 3, 3), 0.5, np.float32)
-    its = with_settings(replace(job, occluder_albedo=albedo), bounces=1)
-    with pytest.raises(BakeError, match="vertices alone"):
-        finish(run(its))
-
-
 def test_vertices_and_textures_mix(job):
     mixed = (replace(job.receivers[0], carrier="vertex"), job.receivers[1])
     _, results = finish(run(replace(job, receivers=mixed)))
@@ -216,11 +209,15 @@ class TestAuto:
         carriers = {result.in_atlas is None for result in results.receivers}
         assert len(carriers) == 1
 
-    def test_light_that_bounces_stays_on_vertices(self, job):
+    def test_light_that_bounces_changes_no_carrier(self, job):
         albedo = np.full((len(job.occluder_triangles), 3, 3), 0.5, np.float32)
         its = self.open_job(replace(job, occluder_albedo=albedo), bounces=1)
-        _, results = finish(run(its))
-        assert all(result.in_atlas is None for result in results.receivers)
+        (_, bounced), (_, plain) = finish(run(its)), finish(run(self.open_job(job)))
+        found, expected = (
+            [result.in_atlas is None for result in results.receivers]
+            for results in (bounced, plain)
+        )
+        assert found == expected
 
     def test_the_second_time_it_costs_no_ray(self, job):
         _, first = finish(run(self.open_job(job)))

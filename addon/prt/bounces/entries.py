@@ -42,7 +42,8 @@ class Entries:
 
     @classmethod
     def of(cls, job: Job, points: Sequence[Points]) -> "Entries":
-        """The entries of the occluders of ``job``, whose receivers have ``points``."""
+        """The entries of the occluders of ``job``, whose receivers have ``points``; without any
+        of these every triangle is cut into cells."""
         triangles = np.asarray(job.occluder_triangles)
         at_corners = _points_at_corners(job, points)
         baked = (at_corners >= 0).all(axis=1)
@@ -117,7 +118,7 @@ def _points_at_corners(job: Job, points: Sequence[Points]) -> Index:
     """
     triangles = np.asarray(job.occluder_triangles)
     at_corners = np.full(triangles.shape, -1, np.int64)
-    if not len(triangles):
+    if not len(triangles) or not len(points):
         return at_corners
     keys, turned = _triangle_keys(_place_keys(job.occluder_vertices)[triangles])
     order = np.argsort(keys, kind="stable")

@@ -163,14 +163,29 @@ class Again:
     def gather(self, table: Array, source_of: Entry, out: Array) -> Generator[int, None, None]:
         """See Gathered."""
         out[:] = 0
+        yield from self._trace(Leaving(self._meeting, table, source_of).look(self._rays, out))
+
+
+@dataclass(frozen=True)
+class Leaving:
+    """What leaves the entries that rays end at: the rows of ``table`` (S, K) of the sources
+    ``source_of`` (2 count,) them, found by the ``meeting``."""
+
+    meeting: Meeting
+    table: Array
+    source_of: Entry
+
+    def look(self, rays: int, out: Array) -> Look:
+        """What adds the mean over the ``rays`` of each place that is traced to ``out`` (M, K),
+        zeros: a final gather."""
 
         def look(numbers: Index, first: int, origins: Array, directions: Array) -> Mask:
-            mask, chunk = self._meeting(numbers, first, origins, directions)
-            chunk.entries = source_of.take(chunk.entries)
-            chunk.sums(table, 1 / self._rays, out)
+            mask, chunk = self.meeting(numbers, first, origins, directions)
+            chunk.entries = self.source_of.take(chunk.entries)
+            chunk.sums(self.table, 1 / rays, out)
             return mask
 
-        yield from self._trace(look)
+        return look
 
 
 class Recorder:

@@ -74,19 +74,19 @@ class Keeper:
         threads: int,
         budget: Budget | None = None,
     ) -> None:
-        self._meeting = Meeting(geometry, entries, seed)
+        self.meeting = Meeting(geometry, entries, seed)
         self._threads, self._budget = threads, budget or Budget()
 
     def recorder(self) -> Recorder:
         """A Look for the rays of some places."""
-        return Recorder(self._meeting, self._budget)
+        return Recorder(self.meeting, self._budget)
 
     def taken(self, recorder: Recorder, count: int, rays: int, trace: Retrace) -> Gathered:
         """What ``recorder`` saw of ``count`` places, which ``trace`` traces again where that was
         too much to be kept."""
         chunks = recorder.chunks()
         if chunks is None:
-            return Again(count, rays, trace, self._meeting)
+            return Again(count, rays, trace, self.meeting)
         return Kept(count, rays, self._threads, chunks)
 
     def remembered(self, count: int, rays: int, hits: Chunk) -> Kept:

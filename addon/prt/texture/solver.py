@@ -53,13 +53,15 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     rays: int,
     noise: float,
     light: Float | None = None,
+    bounced: int = 0,
 ) -> Generator[int, None, Texels]:
     """Values of the texels of ``receiver`` in an atlas of ``size``², where its corners lie at
     ``uvs`` (C, 2), out of about ``rays`` a texel, whose tracing has a relative error of ``noise``.
 
     ``light`` (turns, n², 3), the radiance coefficients at each turn, tells how much of what an
-    artist sees the residual columns are; without it they count for themselves.  Yields the rays
-    cast so far.
+    artist sees the residual columns are; without it they count for themselves.  So many columns
+    are light that has ``bounced``, the last ones before the visibility.  Yields the rays cast so
+    far.
     """
     mesh = Mesh.of(receiver, uvs, size)
     index, triangles = yield from cover(mesh.layout, mesh.surface.solid)
@@ -69,7 +71,7 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     work = Refinement(grid, tracer)
     yield from work.start()
     first = work.values[work.state == TRACED]
-    scale = Scale.of(first, settings.order**2, light, settings.visibility_order**2)
+    scale = Scale.of(first, settings.order**2, light, settings.visibility_order**2, bounced)
     yield from work.go_on(scale, max(settings.tolerance or noise, LEAST))
     yield from _push_out(work, grid, tracer, edges.region)
     known = work.state != BURIED
@@ -107,9 +109,17 @@ class Scale:
     groups: tuple[Array, ...]
 
     @classmethod
-    def of(cls, values: Array, transfer: int, light: Float | None, visibility: int = 0) -> "Scale":
-        """Of ``values`` (M, K), of which the first ``transfer`` columns are the transfer, and the
-        last ``visibility`` ones what is seen."""
+    def of(
+        cls,
+        values: Array,
+        transfer: int,
+        light: Float | None,
+        visibility: int = 0,
+        bounced: int = 0,
+    ) -> "Scale":
+        """Of ``values`` (M, K), of which the first ``transfer`` columns are the transfer, the last
+        ``visibility`` ones what is seen, and the ``bounced`` ones before these light that bounced,
+        which is shown together with the transfer and is as large as that."""
         columns = values.shape[1]
         each = np.eye(columns, dtype=np.float32)
         forms = [each[:, :transfer]]
@@ -120,11 +130,17 @@ class Scale:
                 seen[:transfer] = radiance
                 forms.append(seen)
                 rest += 3
-        forms += [each[:, rest : columns - visibility], each[:, columns - visibility :]]
+        end = columns - visibility
+        pairs = [(form, form) for form in (*forms, each[:, rest : end - bounced], each[:, end:])]
+        first, of_light = end - bounced, 3 * (len(forms) - 1) * bool(bounced)
+        pairs.append((each[:, first : end - of_light], forms[0]))
+        for k, form in enumerate(forms[1:] if bounced else ()):
+            low = end - of_light + 3 * k
+            pairs.append((each[:, low : low + 3], form))
         groups = []
-        for form in forms:
+        for form, shown in pairs:
             if form.size and len(values):
-                rms = float(np.sqrt(np.mean((values @ form) ** 2, dtype=np.float64)))
+                rms = float(np.sqrt(np.mean((values @ shown) ** 2, dtype=np.float64)))
                 groups.append(form / (max(rms, 1e-20) * form.shape[1] ** 0.5))
         return cls(tuple(groups))
 

@@ -370,8 +370,10 @@ def estimate_error(
 
 
 def relative_rms(values: npt.ArrayLike, reference: npt.ArrayLike) -> float:
-    """RMS of the difference over the RMS of the reference; 0 where both are 0."""
+    """RMS of the difference over the RMS of the reference; 0 where both are 0, or empty."""
     expected = np.asarray(reference, np.float64)
+    if not expected.size:
+        return 0.0
     difference = float(np.mean((np.asarray(values) - expected) ** 2))
     size = float(np.mean(expected**2))
     return (difference / size) ** 0.5 if size > 0 else float(difference > 0)
