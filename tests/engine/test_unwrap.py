@@ -151,9 +151,9 @@ def test_a_density_gives_the_smallest_square_that_holds_it(density):
     assert shown_areas(places(receiver, half)).sum() * (atlas.size / 2) ** 2 < area
 
 
-def test_very_many_charts_are_packed_in_rows():
+def test_very_many_charts_are_packed_in_rows(monkeypatch):
     receiver = of_quads(*shapes.sphere(66, 132)[:2])
-    assert len(receiver.triangles) // 2 > packing.MANY
+    monkeypatch.setattr(packing, "MANY", len(receiver.triangles) // 2 - 1)
     atlas = unwrapped(receiver, size=1024)
     assert len(charts_of(receiver, atlas.uvs[0])) == len(receiver.triangles) // 2
     assert uv_map.problem(receiver, atlas.uvs[0]) is None
@@ -184,6 +184,43 @@ def test_a_chart_that_xatlas_would_shrink_does_not_fit():
     )
     assert charting.packed(charts, 128, 1.0, 0) is not None
     assert charting.packed(charts, 128, 2.0, 0) is None
+
+
+def test_charts_that_touch_at_a_vertex_are_packed():
+    corners = np.array([[[0, 0], [1, 0], [0.5, 1]], [[0, 0], [-1, 0], [-0.5, -1.0]]])
+    charts = charting._shared(corners, np.array([[0, 1, 2], [0, 3, 4]]), np.zeros(2, np.int64))
+    assert len(np.unique(charts.charts)) == 2
+    assert not set(charts.triangles[0]) & set(charts.triangles[1])
+    places = charting.packed(charts, 64, 16.0, 2)
+    assert np.abs(plane_areas(places)) == pytest.approx([128, 128], rel=0.1)
+
+
+def test_crumbs_of_a_rough_surface_are_taken_into_their_neighbours(monkeypatch):
+    vertices, triangles = shapes.grid([0, 0, 0], [1, 0, 0], [0, 1, 0], 30)
+    vertices[:, 2] += 0.04 * np.random.default_rng(0).standard_normal(len(vertices))
+    rough = shapes.receiver(vertices, triangles, np.tile([0, 0, 1.0], (len(vertices), 1)))
+    together = one_piece(rough)
+    monkeypatch.setattr(charting, "join_small", lambda _: None)
+    apart = one_piece(rough)
+    sizes, before = (np.bincount(np.bincount(piece.charts)) for piece in (together, apart))
+    assert before[1:11].sum() > 20
+    assert sizes[1:11].sum() < 0.5 * before[1:11].sum()
+    for chart in np.unique(together.charts):
+        inside = together.uvs[together.charts == chart]
+        assert not over_each_other(inside).any()
+        assert (plane_areas(inside) > 0).all()
+    sides = [
+        np.linalg.norm(c - np.roll(c, 1, axis=1), axis=2)
+        for c in (together.uvs, vertices[triangles])
+    ]
+    moved = together.charts != apart.charts
+    assert np.quantile((sides[0] / sides[1])[moved], 0.01) > 0.3
+    assert np.quantile((sides[0] / sides[1])[moved], 0.99) < 3
+
+
+def one_piece(receiver):
+    loops = np.arange(receiver.triangles.size).reshape(-1, 3)
+    return charting._piece(receiver.vertices, receiver.triangles, loops)
 
 
 def test_a_chart_that_runs_over_itself_is_taken_apart():

@@ -105,15 +105,20 @@ def test_children_start_from_the_engines_process():
 
 def family(pid):
     """The children of process ``pid``."""
-    alive = [status for status in Path("/proc").glob("[0-9]*/status") if is_alive(status)]
-    return [status for status in alive if f"\nPPid:\t{pid}\n" in status.read_text()]
+    return [s for s in Path("/proc").glob("[0-9]*/status") if f"\nPPid:\t{pid}\n" in alive(s)]
 
 
 def is_alive(status):
+    return bool(alive(status))
+
+
+def alive(status):
+    """What ``status`` says of a process; "" of one that is gone, or dead and not buried yet."""
     try:
-        return "\nState:\tZ" not in status.read_text()
+        text = status.read_text()
     except OSError:
-        return False
+        return ""
+    return "" if "\nState:\tZ" in text else text
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the process table")

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ..surface.edges import components
 from ..surface.points import Float, Index
+from .joining import join_small
 from .layout import NEITHER, Layout
 from .plane import are_flat, cross_products, plane_areas, projected
 
@@ -144,6 +145,8 @@ def _piece(vertices: Float, triangles: Index, loops: Index) -> Layout:
         _parametrize(layout)
         layout.true_to_scale()
     layout.mend()
+    join_small(layout)
+    layout.level()
     layout.uvs *= unit
     return layout
 
@@ -175,7 +178,7 @@ def _parametrize(layout: Layout) -> None:
 
 def _shared(uvs: Float, vertices: Index, charts: Index) -> Charts:
     """Corners at the same vertex and UV (F, 3, 2) of a chart as one; what hangs together by edges
-    is a chart."""
+    is a chart, and shares no corner with another one: xatlas would lose it."""
     keys = np.concatenate(
         [np.repeat(charts, 3)[:, None], vertices.reshape(-1, 1), uvs.reshape(-1, 2).view(np.int64)],
         axis=1,
@@ -185,8 +188,10 @@ def _shared(uvs: Float, vertices: Index, charts: Index) -> Charts:
     new[1:] = (keys[order][1:] != keys[order][:-1]).any(axis=1)
     place = np.empty(len(order), np.int64)
     place[order] = np.cumsum(new) - 1
-    shared = place.reshape(-1, 3)
-    return Charts(uvs.reshape(-1, 2)[order[new]], shared, _connected(shared))
+    parts = _connected(place.reshape(-1, 3))
+    key = place * (int(parts.max(initial=0)) + 1) + np.repeat(parts, 3)
+    _, first, shared = np.unique(key, return_index=True, return_inverse=True)
+    return Charts(uvs.reshape(-1, 2)[first], shared.reshape(-1, 3), parts)
 
 
 def _connected(triangles: Index) -> Index:

@@ -38,7 +38,7 @@ class Layout:
         """Take out what a chart is stretched by as a whole, however it was packed, and mirrored;
         what has collapsed, lies the wrong way round or over something else lies nowhere."""
         self._unstretch()
-        self._level()
+        self.level()
         area = 0.5 * np.linalg.norm(cross_products(self.corners), axis=1)
         lost = ~(plane_areas(self.uvs) > COLLAPSED * area)
         self.charts[lost] = NEITHER
@@ -49,12 +49,11 @@ class Layout:
                 self.charts[inside[over_each_other(self.uvs[inside])]] = NEITHER
 
     def mend(self) -> None:
-        """Bring every polygon together in one chart, and the charts to the surface's area."""
+        """Bring every polygon together in one chart."""
         for polygon in self._torn():
-            if not any(self._move(polygon, chart) for chart in self._candidates(polygon)):
+            if not any(self.move(polygon, chart) for chart in self.candidates(polygon)):
                 self.uvs[polygon] = self._alone(polygon)
                 self.charts[polygon] = self.charts.max(initial=NEITHER) + 1
-        self._level()
 
     def _rim(self) -> npt.NDArray[np.bool_]:
         """Triangles (F,) with a side that no other one of their chart has.  Where none of these lie
@@ -104,7 +103,7 @@ class Layout:
         chosen = self.charts >= 0
         self.uvs[chosen] = np.einsum("fij,fkj->fki", inverse[self.charts[chosen]], self.uvs[chosen])
 
-    def _level(self) -> None:
+    def level(self) -> None:
         """Charts run anticlockwise and have their surface's area."""
         count, placed = self._count(), self.charts >= 0
         group = self.charts[placed]
@@ -144,7 +143,7 @@ class Layout:
                 return np.flatnonzero(found)
             found = more
 
-    def _candidates(self, polygon: Index) -> list[int]:
+    def candidates(self, polygon: Index) -> list[int]:
         """Charts that ``polygon`` lies in or touches, those that hold most of it first."""
         inside = self.charts[polygon]
         held = np.zeros(self._count() + 1)
@@ -155,8 +154,9 @@ class Layout:
         order = np.lexsort((np.arange(len(held)), -beside, -held))
         return [int(chart) for chart in order if beside[chart]]
 
-    def _move(self, polygon: Index, chart: int) -> bool:
-        """Move ``polygon`` into ``chart``, if there is room for it."""
+    def move(self, polygon: Index, chart: int, least: float = 0.0) -> bool:
+        """Move ``polygon`` into ``chart``, if there is room for it, and no side of it becomes
+        shorter than ``least`` times what it is in space."""
         inside = self.charts == chart
         staying = polygon[inside[polygon]]
         inside[polygon] = False
@@ -164,19 +164,20 @@ class Layout:
         if not known:
             known = self._shared(polygon, inside)
         uvs = self._unfold(polygon, known, inside)
-        if uvs is None or _folded(uvs) or self._distorted(polygon, uvs):
+        if uvs is None or _folded(uvs) or self._distorted(polygon, uvs, least):
             return False
         if over_any(uvs, self.uvs[inside]).any():
             return False
         self.uvs[polygon], self.charts[polygon] = uvs, chart
         return True
 
-    def _distorted(self, polygon: Index, uvs: Float) -> bool:
+    def _distorted(self, polygon: Index, uvs: Float, least: float) -> bool:
         """Whether a side of ``polygon`` is much longer in its ``uvs`` (T, 3, 2) than in space, as
-        slivers become that are unfolded over their shortest side."""
+        slivers become that are unfolded over their shortest side, or shorter than ``least``."""
         solid = self.corners[polygon]
         found = np.linalg.norm(uvs - uvs[:, [1, 2, 0]], axis=2)
-        return bool((found > LONGER * np.linalg.norm(solid - solid[:, [1, 2, 0]], axis=2)).any())
+        sides = np.linalg.norm(solid - solid[:, [1, 2, 0]], axis=2)
+        return bool(((found > LONGER * sides) | (found < least * sides)).any())
 
     def _corner_uvs(self, triangles: Index) -> Iterator[tuple[int, Float]]:
         for triangle in triangles:

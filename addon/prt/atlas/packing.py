@@ -22,7 +22,7 @@ from .shelves import Boxes
 
 LARGEST = 16384  # texels along a side: what graphics cards read
 SMALLEST = 16
-MANY = 2000  # charts: xatlas takes long for more, and rows of them are as dense
+MANY = 20_000  # charts: xatlas takes seconds for more, and rows of them are nearly as dense
 FIRST = (0.5, 0.7)  # shares of the square that are tried first
 CLOSE = 0.01  # of the density: nearer to the finest is not looked for
 LEAST = 2.0**-12  # of the density that would fill the square: below, nothing fits

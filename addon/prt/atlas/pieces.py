@@ -53,7 +53,7 @@ def pieces_of(
     """``receiver`` in pieces of at most ``limit`` triangles, unless they are flat, and no longer
     than ``reach``; of one polygon where that can't be.  Yields now and then."""
     positions = welded(receiver.vertices)
-    polygons = _polygons(np.asarray(receiver.triangle_corners))
+    polygons = polygons_of(np.asarray(receiver.triangle_corners))
     yield
     corners = np.asarray(receiver.vertices, np.float64)[receiver.triangles]
     graph = _graph(receiver, corners, positions, polygons)
@@ -71,7 +71,7 @@ def pieces_of(
     return Pieces(rank[names.reshape(-1)], len(first), polygons, positions)
 
 
-def _polygons(corners: npt.NDArray[Any]) -> Index:
+def polygons_of(corners: npt.NDArray[Any]) -> Index:
     """The polygon of each triangle (F,): triangles that share a corner are of one."""
     flat = corners.reshape(-1)
     order = np.argsort(flat, kind="stable")
