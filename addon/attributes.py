@@ -23,8 +23,9 @@ TYPES = {4: ("FLOAT_COLOR", "color"), 2: ("FLOAT2", "vector")}  # by numbers an 
 
 
 def names(mesh: bpy.types.Mesh) -> list[str]:
-    """The baked attributes of ``mesh``, our UV map included."""
+    """The baked attributes of ``mesh``, our UV maps included."""
     found = [attribute.name for attribute in mesh.attributes if attribute.name.startswith(PREFIX)]
+    found += [uv_maps.EMPTY] * uv_maps.has_empty(mesh)
     return found + [uv_maps.NAME] * uv_maps.is_ours(mesh)
 
 
@@ -39,9 +40,10 @@ def split(layout: Layout, domain: str, values: Values) -> Stored:
     return {name: (domain, columns[:, k]) for k, name in enumerate(layout.attributes)}
 
 
-def with_uvs(uvs: Values) -> Stored:
-    """The UV map ``uvs`` (C, 2) of an atlas, as ``put`` takes it."""
-    return {uv_maps.NAME: ("CORNER", uvs)}
+def with_uvs(uvs: Values, mesh: bpy.types.Mesh) -> Stored:
+    """The UV map ``uvs`` (C, 2) of an atlas, as ``put`` takes it, for what shows ``mesh``."""
+    maps: Stored = {} if uv_maps.has_others(mesh) else {uv_maps.EMPTY: ("CORNER", 0 * uvs)}
+    return {**maps, uv_maps.NAME: ("CORNER", uvs)}
 
 
 def put(mesh: bpy.types.Mesh, stored: Stored) -> None:
@@ -83,9 +85,9 @@ def read(obj: bpy.types.Object, stamp: Stamp) -> layouts.Values:
 
 
 def _values(mesh: bpy.types.Mesh, name: str) -> Values:
-    """Values (E, 4) of one colour attribute, or (C, 2) of our UV map."""
+    """Values (E, 4) of one colour attribute, or (C, 2) of a UV map."""
     data = mesh.attributes[name].data
-    width = 2 if name == uv_maps.NAME else 4
+    width = 2 if name in {uv_maps.EMPTY, uv_maps.NAME} else 4
     values = np.empty(len(data) * width, np.float32)
     data.foreach_get(TYPES[width][1], values)
     return values.reshape(-1, width)
@@ -93,7 +95,8 @@ def _values(mesh: bpy.types.Mesh, name: str) -> Values:
 
 @contextmanager
 def _kept_active(mesh: bpy.types.Mesh) -> Iterator[None]:
-    """Adding and removing attributes inside leaves the active ones as they are, by name."""
+    """Adding and removing attributes inside leaves the active ones as they are, by name; of our UV
+    maps, where there are no others, it is the empty one."""
     attributes, layers = mesh.attributes, mesh.uv_layers
     active = attributes.active.name if attributes.active else ""
     edited = layers.active.name if layers.active else ""
@@ -105,7 +108,11 @@ def _kept_active(mesh: bpy.types.Mesh) -> Iterator[None]:
     attributes.default_color_name = rendered
     if active in attributes:
         attributes.active = attributes[active]
-    if edited in layers:
-        layers.active = layers[edited]
-    if shown_uvs in layers:
-        layers[shown_uvs].active_render = True
+    for name in (edited, uv_maps.EMPTY):
+        if name in layers:
+            layers.active = layers[name]
+            break
+    for name in (shown_uvs, uv_maps.EMPTY):
+        if name in layers:
+            layers[name].active_render = True
+            break

@@ -84,13 +84,13 @@ def _prepare(
     """Everything that can fail, before the object is touched."""
     obj, result, its_stamp = baked
     domain, placed = its_stamp.domain, result.in_atlas
-    if placed is not None:
-        count, stored = len(placed.uvs), attributes.with_uvs(placed.uvs)
-    else:
-        values = layouts.pack(layout, layouts.at_elements(result))
-        count, stored = len(values), attributes.split(layout, domain, values)
     with carrier.evaluated_mesh(obj, depsgraph) as mesh:
         expected = len(mesh.vertices if domain == "POINT" else mesh.loops)
+        if placed is not None:
+            count, stored = len(placed.uvs), attributes.with_uvs(placed.uvs, mesh)
+        else:
+            values = layouts.pack(layout, layouts.at_elements(result))
+            count, stored = len(values), attributes.split(layout, domain, values)
     if count != expected:
         raise BakeError(f"The mesh of {obj.name!r} was edited while it baked: bake it again")
     image = images[placed.atlas] if placed is not None else None

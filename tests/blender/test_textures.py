@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import snapshot
 import textured
-from bakes import place, principled, quad
+from bakes import add, link, place, principled, quad, shader
 from pictures import colour, look_down, render
 from prt_baker.addon import (
     atlas_files,
@@ -368,6 +368,42 @@ class TestStale:
             obj = bpy.data.objects[name]
             assert obj[stamp.SWITCH] == 1.0
             assert tuple(stamp.image_of(obj).size) == (128, 128)
+
+
+class TestMeshesWithoutUvMaps:
+    def test_what_reads_the_first_uv_map_goes_on_to_find_none(self, scene, tmp_path):
+        """A picture that nothing is plugged into, on a mesh of its own and behind a modifier."""
+        material = principled()
+        texture = add(material, "TexImage")
+        texture.image = bpy.data.images.new("Mine", 8, 8, float_buffer=True)
+        pixels = np.ones((8, 8, 4), np.float32)
+        pixels[..., 0] = np.linspace(0, 1, 8)
+        texture.image.pixels.foreach_set(pixels.ravel())
+        texture.image.pack()
+        link(material, texture.outputs[0], shader(material).inputs["Base Color"])
+        objects = [quad(scene, 0, 0, material), quad(scene, 1, 0, material)]
+        objects[1].modifiers.new("Subdivision", "SUBSURF").subdivision_type = "SIMPLE"
+        environment(scene, generated(picture()))
+        look_down(scene, 2, 1)
+        before = colour(render(scene, tmp_path, "CYCLES"), "Combined")
+        for seed in (0, 1):
+            textured.write(scene, tmp_path, LAYOUT, *objects, seed=seed)
+            layers = objects[0].data.uv_layers
+            assert [layer.name for layer in layers] == ["PRT Empty", "PRT"]
+            assert layers.active.name == "PRT Empty"
+            assert layers["PRT Empty"].active_render
+        after = colour(render(scene, tmp_path, "CYCLES"), "Combined")
+        np.testing.assert_allclose(after, before, rtol=1e-4)
+
+    def test_a_map_that_the_artist_makes_later_stays(self, scene, tmp_path):
+        obj = quad(scene, material=principled())
+        textured.write(scene, tmp_path, LAYOUT, obj)
+        obj.data.uv_layers.new(name="Mine").active_render = True
+        textured.write(scene, tmp_path, LAYOUT, obj, seed=1)
+        assert [layer.name for layer in obj.data.uv_layers] == ["Mine", "PRT"]
+        assert obj.data.uv_layers["Mine"].active_render
+        remove.remove(scene, [obj])
+        assert [layer.name for layer in obj.data.uv_layers] == ["Mine"]
 
 
 def test_files_say_which_bake_they_are_of(tmp_path):
