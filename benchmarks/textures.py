@@ -149,7 +149,7 @@ class Bench:
         known = np.zeros(self.size**2, bool)
         flat[index], known[index] = values, True
         image = flat.reshape(self.size, self.size, -1)
-        push_pull(image, known.reshape(self.size, self.size))
+        finish(push_pull(image, known.reshape(self.size, self.size)))
         return image
 
     def errors(self, image: Array) -> Array:

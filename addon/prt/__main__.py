@@ -9,17 +9,19 @@ import json
 import sys
 import time
 import traceback
-from dataclasses import asdict
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TextIO
 
 from . import job as jobs
 from .errors import BakeError, no_room
-from .results import write_results
+from .results import Results, write_results
 from .run import run
 
 PROGRESS = "progress.jsonl"
 INTERVAL = 0.05  # seconds between two lines
+TICK = 0.25  # seconds between two lines while results are written
 
 
 def main(folder: Path) -> int:
@@ -56,16 +58,28 @@ def _run(folder: Path, progress: TextIO) -> None:
             request.answer(folder)
             return
     steps = run(jobs.read(folder))
-    last, phase = 0.0, ""
+    last, phase, step = 0.0, "", jobs.Progress("start", 0.0)
     while True:
         try:
             step = next(steps)
         except StopIteration as stop:
-            write_results(stop.value, folder)
+            _keep(stop.value, folder, progress, step)
             return
         if step.phase != phase or time.monotonic() - last > INTERVAL:
             last, phase = time.monotonic(), step.phase
             _write(progress, asdict(step))
+
+
+def _keep(results: Results, folder: Path, progress: TextIO, step: jobs.Progress) -> None:
+    """Write ``results``, which takes seconds where textures are large, with signs of life: the last
+    ``step``, later and later."""
+    start = time.monotonic()
+    with ThreadPoolExecutor(1) as pool:
+        writing = pool.submit(write_results, results, folder)
+        while not wait([writing], TICK).done:
+            seconds = step.seconds + time.monotonic() - start
+            _write(progress, asdict(replace(step, seconds=seconds)))
+        writing.result()
 
 
 def _say(progress: TextIO, code: int, **line: str) -> int:

@@ -58,6 +58,17 @@ class Meter:
             self.done = done + share * min(1.0, most / max(1.0, expected))
             yield self.progress(phase)
 
+    def alive(
+        self, phase: str, steps: Generator[None, None, Value]
+    ) -> Generator[Progress, None, Value]:
+        """Progress of ``steps`` that are none of the work; their value."""
+        while True:
+            try:
+                next(steps)
+            except StopIteration as stop:
+                return cast(Value, stop.value)
+            yield self.progress(phase)
+
     def progress(self, phase: str) -> Progress:
         """Where the run is."""
         return Progress(phase, min(1.0, self.done / self.work), self.rays, self.elapsed)

@@ -142,7 +142,8 @@ def _painted(
         yield scene.meter.progress("fill")
         with scene.meter.phase("fill"):
             half = scene.job.settings.half
-            atlases.append(texturing.painted(sheet, receivers, number, half=half))
+            steps = texturing.painted(sheet, receivers, number, half=half)
+            atlases.append((yield from scene.meter.alive("fill", steps)))
     yield scene.meter.progress("write")
     return atlases
 

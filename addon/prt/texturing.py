@@ -252,8 +252,11 @@ def between_texels(
     )
 
 
-def painted(sheet: Sheet, results: Sequence[ReceiverResult], number: int, *, half: bool) -> Atlas:
-    """Atlas ``number``, of ``sheet``, from the ``results`` in it, all of it filled."""
+def painted(
+    sheet: Sheet, results: Sequence[ReceiverResult], number: int, *, half: bool
+) -> Generator[None, None, Atlas]:
+    """Atlas ``number``, of ``sheet``, from the ``results`` in it, all of it filled.  Yields now and
+    then."""
     mine = [result for result in results if result.in_atlas and result.in_atlas.atlas == number]
     layout = layouts.covering(results)
     names = tuple(name for name in layout.slots if name)
@@ -265,7 +268,7 @@ def painted(sheet: Sheet, results: Sequence[ReceiverResult], number: int, *, hal
         image[result.in_atlas.texels] = values[:, : len(names)]
         known[result.in_atlas.texels] = True
     square = image.reshape(sheet.size, sheet.size, -1)
-    push_pull(square, known.reshape(sheet.size, sheet.size))
+    yield from push_pull(square, known.reshape(sheet.size, sheet.size))
     return Atlas(sheet.size, names, sheet.margin, half, square)
 
 

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import sys
+import time
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -152,6 +153,23 @@ def test_a_full_disk_is_one_sentence(job, monkeypatch, error):
 def test_an_error_of_another_kind_keeps_its_traceback():
     with pytest.raises(PermissionError), engine.job_folder():
         raise PermissionError(13, "Permission denied")
+
+
+def test_writing_gives_signs_of_life(job, tmp_path, monkeypatch):
+    jobs.write(job, tmp_path)
+    write = program.write_results
+
+    def slowly(results, folder):
+        time.sleep(0.3)
+        write(results, folder)
+
+    monkeypatch.setattr(program, "write_results", slowly)
+    monkeypatch.setattr(program, "TICK", 0.05)
+    assert program.main(tmp_path) == 0
+    lines = (tmp_path / program.PROGRESS).read_text("utf-8").splitlines()
+    seconds = [json.loads(line)["seconds"] for line in lines]
+    assert seconds[-1] > seconds[-4] + 0.14
+    assert (tmp_path / "results").exists()
 
 
 def test_results_without_room_are_one_sentence(job, tmp_path, monkeypatch):

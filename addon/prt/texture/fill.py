@@ -1,6 +1,7 @@
 """Texels that nothing was found for: buried ones, and the rest of an atlas, which no surface reads
 but a filter may."""
 
+from collections.abc import Generator
 from typing import Any
 
 import numpy as np
@@ -11,15 +12,15 @@ from .refine import Grid
 Array = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
-COLUMNS = 4  # filled at once: what bounds the memory
 AROUND = [(up, right) for up in (-1, 0, 1) for right in (-1, 0, 1) if up or right]
 
 
-def push_pull(image: Array, known: Mask) -> None:
+def push_pull(image: Array, known: Mask) -> Generator[None, None, None]:
     """Fill the texels of ``image`` (N, N, K) that are not ``known`` (N, N), in place, smoothly from
     those that are: each from the finest halving of the image in which something is known nearby.
 
-    Known texels stay as they are.  An image in which nothing is known becomes 0.
+    Known texels stay as they are.  An image in which nothing is known becomes 0.  Yields after each
+    column.
     """
     if not known.any():
         image[:] = 0
@@ -27,18 +28,19 @@ def push_pull(image: Array, known: Mask) -> None:
     masks = [known]
     while masks[-1].shape[0] > 1:
         masks.append(_blocks(masks[-1]).any(axis=(1, 3)))
-    for first in range(0, image.shape[2], COLUMNS):
-        some = np.ascontiguousarray(image[:, :, first : first + COLUMNS])
-        _fill(some, masks)
-        image[:, :, first : first + COLUMNS] = some
+    for k in range(image.shape[2]):
+        column = np.ascontiguousarray(image[:, :, k])
+        _fill(column, masks)
+        image[:, :, k] = column
+        yield
 
 
 def _fill(image: Array, masks: list[Mask]) -> None:
-    """Fill ``image`` where the first of ``masks`` is not set; the others are its halvings."""
+    """Fill ``image`` (N, N) where the first of ``masks`` is not set; the others halve it."""
     image[~masks[0]] = 0
     levels = [image]
     for mask in masks[:-1]:
-        counts = _blocks(mask).sum(axis=(1, 3), dtype=np.float32)[..., None]
+        counts = _blocks(mask).sum(axis=(1, 3), dtype=np.float32)
         sums = _blocks(levels[-1]).sum(axis=(1, 3))
         levels.append(np.asarray(sums / np.maximum(counts, 1), np.float32))
     for k in range(len(levels) - 2, -1, -1):
@@ -48,14 +50,12 @@ def _fill(image: Array, masks: list[Mask]) -> None:
 
 
 def _blocks(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Squares of 2 x 2 (M, 2, M, 2, ...) of ``values`` (N, N, ...), with a row and a column of
-    zeros more where N is odd."""
-    size = len(values)
-    if size % 2:
-        more = ((0, 1), (0, 1), *((0, 0) for _ in values.shape[2:]))
-        values = np.pad(values, more)
+    """Squares of 2 x 2 (M, 2, M, 2) of ``values`` (N, N), with a row and a column of zeros more
+    where N is odd."""
+    if len(values) % 2:
+        values = np.pad(values, (0, 1))
     half = len(values) // 2
-    return values.reshape(half, 2, half, 2, *values.shape[2:])
+    return values.reshape(half, 2, half, 2)
 
 
 def _upsampled(coarse: Array, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> Array:
