@@ -31,12 +31,18 @@ class Target:
     folder: Path | None = None
     stem: str = "Untitled"
 
-    def check(self) -> None:
+    def check(self, engine_images: str = "") -> None:
         """Refuse, before anything is baked, what cannot be written."""
-        if self.carrier != "vertex" and self.folder is not None:
+        if self.carrier == "vertex":
+            return
+        if self.folder is not None:
             path = self.folder / (self.stem + " PRT" + SUFFIX)
             outputs.check([path])
             _check_ours(path)
+        elif engine_images:
+            raise BakeError(
+                "Images for engines are files: save the .blend first, and do not pack its textures"
+            )
 
 
 def job_hash(path: Path) -> str | None:
@@ -73,6 +79,15 @@ def paths(target: Target, members: Sequence[Sequence[str]]) -> list[Path]:
     return found
 
 
+def beside(path: Path, source: Path, files: Sequence[Path]) -> list[Path]:
+    """Where the images for engines ``files`` of the atlas ``source`` go, if that goes to ``path``;
+    BakeError where one of these names is taken by a file of the artist's."""
+    found = [path.with_name(path.stem + file.name.removeprefix(source.stem)) for file in files]
+    for target in found:
+        _check_ours(target)
+    return found
+
+
 @contextmanager
 def placed(sources: Sequence[Path], targets: Sequence[Path]) -> Iterator[None]:
     """``sources`` have been copied to ``targets`` inside; on an error there all is as it was.
@@ -84,7 +99,7 @@ def placed(sources: Sequence[Path], targets: Sequence[Path]) -> Iterator[None]:
                 shutil.copyfile(source, places[target])
             for target in targets:
                 if target.exists():
-                    kept = target.with_name(f".prt-{secrets.token_hex(4)}{SUFFIX}")
+                    kept = target.with_name(f".prt-{secrets.token_hex(4)}{target.suffix}")
                     target.rename(kept)
                     moved.append((target, kept))
         yield
@@ -115,11 +130,20 @@ def _shown() -> Iterator[tuple[bpy.types.Object, Path]]:
 
 
 def _check_ours(path: Path) -> None:
-    if path.exists() and job_hash(path) is None:
+    if path.exists() and not _is_ours(path):
         raise BakeError(
             f"{path} is a picture of yours, and the bake would be called so: rename it, or choose "
             "another folder"
         )
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether the file at ``path`` says that a bake has written it."""
+    try:
+        with path.open("rb") as file:
+            return MARK in file.read(HEADER)
+    except OSError:
+        return False
 
 
 def _plain(name: str) -> str:

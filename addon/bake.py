@@ -62,7 +62,7 @@ def bake(
     """
     with engine.job_folder() as folder:
         objects = _objects(object_names)
-        target.check()
+        target.check(settings.engine_images)
         receivers = textures.receivers(objects, scene.check_objects(objects), target)
         occluders = scene_occluders.read(
             bpy.context.evaluated_depsgraph_get(), with_albedo=settings.bounces != 0

@@ -37,6 +37,7 @@ SETTINGS = (
     "texel_density",
     "shared_atlas",
     "half",
+    "engine_images",
 )
 
 

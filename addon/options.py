@@ -26,6 +26,7 @@ class Options:
     texel_density: float | None
     shared_atlas: bool | None
     half: bool | None
+    engine_images: str | None
     images: Path | None
     pack: bool | None
     order: int | None
@@ -152,6 +153,11 @@ def _add_textures(parser: _Parser) -> None:
         help="one for each object, or for those that share materials; default: one for all",
     )
     add("--half", action="store_const", const=True, help="half floats: smaller files, 0.1%% off")
+    add(
+        "--engine-images",
+        choices=("exr", "png"),
+        help="textures once more for engines, an image for every four numbers; png: of 16 bits",
+    )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--images",

@@ -218,6 +218,18 @@ class PRT_PG_settings(bpy.types.PropertyGroup):
         default=False,
         options=set(),
     )
+    engine_images: bpy.props.EnumProperty(
+        name="For Engines",
+        description="Write each texture once more beside it, for programs that read no tiles: an "
+        "image for every four numbers of a texel",
+        items=(
+            ("NONE", "None", "Blender's own image alone"),
+            ("EXR", "EXR", "Images of floats"),
+            ("PNG", "16-bit PNG", "For programs that read no EXR, with scales in a .json"),
+        ),
+        default="NONE",
+        options=set(),
+    )
     image_folder: bpy.props.StringProperty(
         name="Folder",
         description="Where textures are saved; // is the folder of the .blend",
@@ -265,6 +277,7 @@ def settings(scene: bpy.types.Scene, verify: bool = False) -> Settings:
         shared_atlas=chosen.shared_atlas,
         padding_mip=chosen.padding_mip,
         half=chosen.half,
+        engine_images={"EXR": "exr", "PNG": "png"}.get(chosen.engine_images, ""),
         reflections=chosen.reflections,
         bounces=ALL if chosen.all_bounces else chosen.bounces,
         visibility_order=int(chosen.visibility_order) * chosen.reflections,

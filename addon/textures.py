@@ -73,8 +73,14 @@ def images(results: Results, target: Target) -> Iterator[list[bpy.types.Image]]:
             yield found
         return
     paths = atlas_files.paths(target, members)
+    files = [file for atlas in results.atlases for file in atlas.files]
+    for_engines = [
+        place
+        for path, atlas in zip(paths, results.atlases, strict=True)
+        for place in atlas_files.beside(path, atlas.path, atlas.files)
+    ]
     with (
-        atlas_files.placed(sources, paths),
+        atlas_files.placed([*sources, *files], [*paths, *for_engines]),
         _loaded(results.atlases, paths, results.report["job_hash"]) as found,
     ):
         for image, path in zip(found, paths, strict=True):

@@ -34,7 +34,14 @@ ALIGNMENT = 64
 LENGTH_BYTES, CHECKSUM_BYTES = 8, 4
 LEAST_BYTES = len(MAGIC) + LENGTH_BYTES + CHECKSUM_BYTES
 # what changes no result, and what changes none as long as no light is looked at
-ATLAS = ("resolution", "texel_density", "shared_atlas", "padding_mip", "half")  # its UVs tell
+ATLAS = (
+    "resolution",
+    "texel_density",
+    "shared_atlas",
+    "padding_mip",
+    "half",
+    "engine_images",
+)  # UVs tell
 NEVER = ("threads", "cache", "verify_points", "verify_rays", "reflections", *ATLAS)
 BY_LIGHT = ("residual", "map_rays", "turns", "peaks", "final_light")
 

@@ -34,6 +34,7 @@ Array = npt.NDArray[Any]
 Domain = Literal["POINT", "CORNER"]
 Kind = Literal["bake", "light", "verify"]
 Carrier = Literal["vertex", "texture", "auto"]
+EngineImages = Literal["", "exr", "png"]
 Vector = tuple[float, float, float]
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -59,6 +60,7 @@ class Settings:
     An atlas has ``resolution`` texels a side, unless ``texel_density``, texels a metre, is given:
     then as many as that takes.  ``shared_atlas`` puts all receivers into one, else each has its
     own.  Charts stay apart up to mip level ``padding_mip``.  ``half`` stores half floats.
+    ``engine_images`` writes each atlas once more, an image for every four numbers of a texel.
     """
 
     order: int = 3
@@ -78,6 +80,7 @@ class Settings:
     shared_atlas: bool = True
     padding_mip: int = 2
     half: bool = False
+    engine_images: EngineImages = ""
     cache: str = ""
     seed: int = 0
     threads: int = 0

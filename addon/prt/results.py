@@ -7,7 +7,8 @@ which exists only when all of it is there:
     light.npy               see ``Results.image_sh``
     0_transfer.npy ...      the arrays of receiver 0, see ``ReceiverResult``; where it is in an
                             atlas only some of the points, and 0_uvs.npy
-    atlas_0.exr ...         see ``Atlas``
+    atlas_0.exr ...         see ``Atlas``; atlas_0_0.exr ... or atlas_0_0.png ..., atlas_0.json for
+                            engines, see ``files/layers.py``
     reflections.exr         see ``Reflections``
 """
 
@@ -20,7 +21,8 @@ import numpy as np
 
 from .files.atlases import write_tiles
 from .files.images import write_rgba
-from .job import Array, Peak
+from .files.layers import write_layers, write_png16
+from .job import Array, EngineImages, Peak
 from .specular.sheet import Sheet
 
 RESULTS = "results"
@@ -76,7 +78,8 @@ class ReceiverResult:
 class Atlas:
     """An image of ``size`` x ``size`` texels, whose columns are called ``names``: ``image``
     (N, N, K) float32, row 0 at the bottom, until it is written, and its ``path`` from then on; no
-    surface lies nearer to its border than ``margin`` texels.  ``half`` is how it is stored."""
+    surface lies nearer to its border than ``margin`` texels.  ``half`` is how it is stored.  Where
+    ``engine_images`` are asked for, they are ``files`` whose names go on from that of ``path``."""
 
     size: int
     names: tuple[str, ...]
@@ -84,6 +87,8 @@ class Atlas:
     half: bool = False
     image: Array | None = None
     path: Path | None = None
+    engine_images: EngineImages = ""
+    files: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -127,9 +132,7 @@ def write_results(results: Results, folder: Path) -> None:
             np.save(unfinished / f"{i}_uvs.npy", result.in_atlas.uvs)
     stamp = {"prtBaker": str(results.report.get("job_hash", ""))}
     for i, atlas in enumerate(results.atlases):
-        assert atlas.image is not None
-        path = unfinished / f"atlas_{i}.exr"
-        write_tiles(path, atlas.image, atlas.names, half=atlas.half, metadata=stamp)
+        _write_atlas(atlas, unfinished, f"atlas_{i}", stamp)
     report = {
         "names": [r.name for r in results.receivers],
         "in_atlas": [-1 if r.in_atlas is None else r.in_atlas.atlas for r in results.receivers],
@@ -154,11 +157,25 @@ def read_results(folder: Path) -> Results:
     image_sh = np.load(light) if light.exists() else None
     peaks = tuple(map(Peak.of, values["peaks"]))
     atlases = tuple(
-        Atlas(size, tuple(names), margin, half, path=done / f"atlas_{i}.exr")
-        for i, (size, names, margin, half) in enumerate(values["atlases"])
+        _read_atlas(done / f"atlas_{i}.exr", *what) for i, what in enumerate(values["atlases"])
     )
     reflections = _read_reflections(values["reflections"], done)
     return Results(image_sh, receivers, values["report"], peaks, atlases, reflections)
+
+
+def _write_atlas(atlas: Atlas, folder: Path, stem: str, stamp: dict[str, str]) -> None:
+    assert atlas.image is not None
+    path = folder / f"{stem}.exr"
+    write_tiles(path, atlas.image, atlas.names, half=atlas.half, metadata=stamp)
+    if atlas.engine_images == "exr":
+        write_layers(folder, stem, atlas.image, atlas.names, half=atlas.half, metadata=stamp)
+    elif atlas.engine_images == "png":
+        write_png16(folder, stem, atlas.image, atlas.names, metadata=stamp)
+
+
+def _read_atlas(path: Path, size: int, names: list[str], margin: float, half: bool) -> Atlas:
+    beside = [*path.parent.glob(f"{path.stem}_*"), *path.parent.glob(f"{path.stem}.json")]
+    return Atlas(size, tuple(names), margin, half, path=path, files=tuple(sorted(beside)))
 
 
 def _write_reflections(found: Reflections | None, folder: Path) -> dict[str, Any] | None:

@@ -141,8 +141,7 @@ def _painted(
     for number, sheet in enumerate(sheets):
         yield scene.meter.progress("fill")
         with scene.meter.phase("fill"):
-            half = scene.job.settings.half
-            steps = texturing.painted(sheet, receivers, number, half=half)
+            steps = texturing.painted(sheet, receivers, number, scene.job.settings)
             atlases.append((yield from scene.meter.alive("fill", steps)))
     yield scene.meter.progress("write")
     return atlases

@@ -17,7 +17,7 @@ from .baking import Bake, Baked, Far, Scene, prepared, unchanged
 from .bounced import Surfaces, with_bounces
 from .bounces.hits import Leaving
 from .errors import BakeError
-from .job import Job, Progress, Receiver
+from .job import Job, Progress, Receiver, Settings
 from .layout import Layout
 from .results import RESULT_ARRAYS, Atlas, InAtlas, ReceiverResult
 from .surface.points import Points, Surface
@@ -253,7 +253,7 @@ def between_texels(
 
 
 def painted(
-    sheet: Sheet, results: Sequence[ReceiverResult], number: int, *, half: bool
+    sheet: Sheet, results: Sequence[ReceiverResult], number: int, settings: Settings
 ) -> Generator[None, None, Atlas]:
     """Atlas ``number``, of ``sheet``, from the ``results`` in it, all of it filled.  Yields now and
     then."""
@@ -269,7 +269,14 @@ def painted(
         known[result.in_atlas.texels] = True
     square = image.reshape(sheet.size, sheet.size, -1)
     yield from push_pull(square, known.reshape(sheet.size, sheet.size))
-    return Atlas(sheet.size, names, sheet.margin, half, square)
+    return Atlas(
+        sheet.size,
+        names,
+        sheet.margin,
+        settings.half,
+        square,
+        engine_images=settings.engine_images,
+    )
 
 
 def _is_own(receiver: Receiver) -> bool:

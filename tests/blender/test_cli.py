@@ -185,7 +185,8 @@ def test_textures_go_beside_the_saved_blend_or_where_they_are_told(scene, asked,
         ([*save, "--images", str(tmp_path / "maps")], tmp_path / "maps", {}),
         (["--resolution", "2048", "--half"], None, {"resolution": 2048, "half": True}),
         (["--texel-density", "4.5"], None, {"texel_density": 4.5}),
-        (["--own-textures"], None, {"shared_atlas": False}),
+        (["--own-textures"], None, {"shared_atlas": False, "engine_images": ""}),
+        (["--engine-images", "png"], None, {"engine_images": "png"}),
     ):
         assert cli.command(line) == 0
         target = asked[-1][4]

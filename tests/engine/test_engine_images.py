@@ -74,8 +74,8 @@ def test_png_holds_what_its_json_says_to_its_error(tmp_path, image):
     said = write_png16(tmp_path, "wall", image, NAMES, metadata=META)
     assert json.loads((tmp_path / "wall.json").read_text("utf-8")) == said
     seen = []
-    for entry in said["images"]:
-        pixels, texts = read_png(tmp_path / entry["file"])
+    for k, entry in enumerate(said["images"]):
+        pixels, texts = read_png(tmp_path / f"wall_{k}.png")
         assert texts == {**META, "prtColumns": " ".join(entry["prtColumns"])}
         for c, name in enumerate(entry["prtColumns"]):
             value = entry["offset"][c] + entry["scale"][c] * pixels[..., c] / 65535

@@ -53,8 +53,8 @@ def write_png16(
     folder: Path, stem: str, image: Array, names: Sequence[str], *, metadata: Mapping[str, str]
 ) -> dict[str, Any]:
     """Write ``image`` as ``write_layers`` does, finite, as PNG of 16 bits: each column's range in
-    65,536 steps.  What ``STEM.json`` says: the formula, and for each file its columns with their
-    scale and offset, the largest error, and that error relative to the column's RMS.
+    65,536 steps.  What ``STEM.json`` says: the formula, and for each file in turn its columns with
+    their scale and offset, the largest error, and that error relative to the column's RMS.
     """
     count = -(-len(names) // 4)
     files = [f"{stem}_{k}.png" for k in range(count)]
@@ -65,7 +65,7 @@ def write_png16(
             pixels, said = _in_steps(four, len(names[4 * k : 4 * k + 4]))
             columns = list(names[4 * k : 4 * k + 4])
             write_png(paths[k], pixels, {**metadata, COLUMNS: " ".join(columns)})
-            images.append({"file": files[k], COLUMNS: columns, **said})
+            images.append({COLUMNS: columns, **said})
         whole = {"version": 1, "formula": FORMULA, "images": images, "metadata": dict(metadata)}
         paths[-1].write_text(json.dumps(whole, indent=1), encoding="utf-8")
     return whole
