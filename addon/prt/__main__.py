@@ -9,19 +9,18 @@ import json
 import sys
 import time
 import traceback
-from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TextIO
 
 from . import job as jobs
 from .errors import BakeError, no_room
+from .parallel import in_thread
 from .results import Results, write_results
 from .run import run
 
 PROGRESS = "progress.jsonl"
 INTERVAL = 0.05  # seconds between two lines
-TICK = 0.25  # seconds between two lines while results are written
 
 
 def main(folder: Path) -> int:
@@ -74,12 +73,9 @@ def _keep(results: Results, folder: Path, progress: TextIO, step: jobs.Progress)
     """Write ``results``, which takes seconds where textures are large, with signs of life: the last
     ``step``, later and later."""
     start = time.monotonic()
-    with ThreadPoolExecutor(1) as pool:
-        writing = pool.submit(write_results, results, folder)
-        while not wait([writing], TICK).done:
-            seconds = step.seconds + time.monotonic() - start
-            _write(progress, asdict(replace(step, seconds=seconds)))
-        writing.result()
+    for _ in in_thread(lambda: write_results(results, folder)):
+        seconds = step.seconds + time.monotonic() - start
+        _write(progress, asdict(replace(step, seconds=seconds)))
 
 
 def _say(progress: TextIO, code: int, **line: str) -> int:

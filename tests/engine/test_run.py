@@ -14,7 +14,7 @@ import shapes
 from prt_baker.addon import engine
 from prt_baker.addon.prt import __main__ as program
 from prt_baker.addon.prt import job as jobs
-from prt_baker.addon.prt import sh
+from prt_baker.addon.prt import parallel, sh
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.run import run
 
@@ -164,7 +164,7 @@ def test_writing_gives_signs_of_life(job, tmp_path, monkeypatch):
         write(results, folder)
 
     monkeypatch.setattr(program, "write_results", slowly)
-    monkeypatch.setattr(program, "TICK", 0.05)
+    monkeypatch.setattr(parallel, "TICK", 0.05)
     assert program.main(tmp_path) == 0
     lines = (tmp_path / program.PROGRESS).read_text("utf-8").splitlines()
     seconds = [json.loads(line)["seconds"] for line in lines]

@@ -5,14 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt.atlas import charting, packing, uv_map
+from prt_baker.addon.prt.atlas import charting, packing, pieces, uv_map
 from prt_baker.addon.prt.atlas.layout import Layout
 from prt_baker.addon.prt.atlas.overlap import over_any, over_each_other
 from prt_baker.addon.prt.atlas.plane import plane_areas
 from prt_baker.addon.prt.surface.edges import edges_of, welded
 from prt_baker.addon.prt.surface.points import Surface
 from scipy.spatial import cKDTree
-from unwrapping import bumps, charts_of, of_quads, outlines, places, shown_areas, unwrapped
+from unwrapping import (
+    bumps,
+    charts_of,
+    of_quads,
+    outlines,
+    places,
+    shown_areas,
+    unwrapped,
+    value_of,
+)
 
 MESHES = {
     "box": lambda: shapes.receiver(*shapes.box(count=6)),
@@ -114,6 +123,17 @@ def test_large_meshes_are_cut_and_the_children_share_them():
     assert max(sizes) <= 2500
     assert len(sizes) < 80
     assert shown_areas(places(receiver, uvs)).sum() > 0.4
+
+
+def test_long_triangles_are_cut_into_smaller_pieces():
+    """For them xatlas takes longer."""
+    counts = []
+    for stretch in (1, 64):
+        vertices, triangles, normals = bumps(80)
+        wide = shapes.receiver(vertices * (stretch, 1, 1), triangles, normals)
+        counts.append(value_of(pieces.pieces_of(wide, np.inf)).count)
+    assert counts[0] < 20
+    assert counts[1] > 2 * counts[0]
 
 
 def test_the_same_mesh_gives_the_same_bytes_whatever_the_threads():

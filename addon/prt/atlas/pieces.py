@@ -15,9 +15,11 @@ import numpy.typing as npt
 from ..job import Receiver
 from ..surface.edges import components, edges_of, welded
 from ..surface.points import Float, Index
-from .plane import are_flat
+from .plane import are_flat, cross_products
 
 MAX_TRIANGLES = 2500  # of a piece: xatlas's time grows faster than its triangles
+LONG = 4.0  # times as long as high: xatlas takes longer for triangles that are longer than this
+MOST = 4.0  # times as many as it is does such a triangle count, at most
 CRUMB = 0.2  # of a half: a part of it that is smaller goes to the other half
 
 Mask = npt.NDArray[np.bool_]
@@ -37,12 +39,13 @@ class Pieces:
 
 @dataclass(frozen=True)
 class _Graph:
-    """Polygons: the bounds of each, ``low`` and ``high`` (P, 3), their ``weights`` (P,), triangles;
-    which may lie in a piece together, ``joined`` (E, 2), and which must not, ``apart`` (A, 2)."""
+    """Polygons: the bounds of each, ``low`` and ``high`` (P, 3), their ``weights`` (P,), triangles
+    by how long they take; which may lie in a piece together, ``joined`` (E, 2), and which must not,
+    ``apart`` (A, 2)."""
 
     low: Float
     high: Float
-    weights: Index
+    weights: Float
     joined: Index
     apart: Index
 
@@ -50,8 +53,9 @@ class _Graph:
 def pieces_of(
     receiver: Receiver, reach: float, limit: int = MAX_TRIANGLES
 ) -> Generator[None, None, Pieces]:
-    """``receiver`` in pieces of at most ``limit`` triangles, unless they are flat, and no longer
-    than ``reach``; of one polygon where that can't be.  Yields now and then."""
+    """``receiver`` in pieces of at most ``limit`` triangles, fewer where these are long, unless
+    they are flat, and no longer than ``reach``; of one polygon where that can't be.  Yields now
+    and then."""
     positions = welded(receiver.vertices)
     polygons = polygons_of(np.asarray(receiver.triangle_corners))
     yield
@@ -90,10 +94,18 @@ def _graph(receiver: Receiver, corners: Float, positions: Index, polygons: Index
     return _Graph(
         np.minimum.reduceat(corners.min(axis=1)[order], starts),
         np.maximum.reduceat(corners.max(axis=1)[order], starts),
-        np.bincount(polygons),
+        np.bincount(polygons, _efforts(corners)),
         pairs[edges.joined & between],
         pairs[~edges.joined & between],
     )
+
+
+def _efforts(corners: Float) -> Float:
+    """How many triangles each of ``corners`` (F, 3, 3) counts for."""
+    sides = corners - corners[:, [1, 2, 0]]
+    longest = np.einsum("fkc,fkc->fk", sides, sides).max(axis=1)
+    doubled = np.maximum(np.linalg.norm(cross_products(corners), axis=1), 1e-300)
+    return np.asarray(np.clip(np.sqrt(longest / doubled / LONG), 1, MOST))
 
 
 def _in_halves(

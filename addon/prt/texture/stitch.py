@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from ..parallel import in_thread
 from ..surface.samples import Places
 from .cover import Float, Index, Layout, Mask
 from .sampling import footprint
@@ -218,7 +219,9 @@ def sharpen(values: Array, within: Wanted, smooth: int) -> Generator[None, None,
             np.minimum.at(low[:, k], rows[read], its[read, k])
             np.maximum.at(high[:, k], rows[read], its[read, k])
         yield
-    yield from Stitch([within], np.ones(len(values), np.float32)).solve(values)
+    kept = np.ones(len(values), np.float32)
+    system = yield from in_thread(lambda: Stitch([within], kept))
+    yield from system.solve(values)
     np.clip(sharp, low, high, out=sharp)
 
 
@@ -232,4 +235,6 @@ def stitch(
     wanted = [w for w in (Wanted(seams, nothing, MEET), border) if len(w.values)]
     if wanted:
         keep = np.where(away > 0, 0.5 * np.square(np.maximum(1 - away, 0)), 1)
-        yield from Stitch(wanted, np.maximum(keep, LEAST_KEPT).astype(np.float32)).solve(values)
+        kept = np.maximum(keep, LEAST_KEPT).astype(np.float32)
+        system = yield from in_thread(lambda: Stitch(wanted, kept))
+        yield from system.solve(values)
