@@ -68,10 +68,10 @@ class PRT_PT_texture(SidebarPanel, bpy.types.Panel):
         layout.prop(chosen, "padding_mip")
         layout.prop(chosen, "half")
         layout.prop(chosen, "pack_images")
-        layout.prop(chosen, "engine_images")
         folder = layout.row()
         folder.active = not chosen.pack_images and bool(bpy.data.filepath)
         folder.prop(chosen, "image_folder")
+        layout.prop(chosen, "engine_images")
 
 
 class PRT_PT_exact(SidebarPanel, bpy.types.Panel):

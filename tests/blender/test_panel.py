@@ -184,7 +184,7 @@ def test_the_settings_tell_what_a_texture_costs(context):
     assert not any("attributes" in note for note in drawn(settings_panel.PRT_PT_settings, context))
     notes = drawn(settings_panel.PRT_PT_texture, context)
     assert notes[:3] == ["<size_by>", "<resolution>", "89 MB on the graphics card"]
-    assert notes[-2:] == ["<pack_images>", "<image_folder>"]
+    assert notes[-2:] == ["<image_folder>", "<engine_images>"]
     chosen.size_by = "DENSITY"
     assert drawn(settings_panel.PRT_PT_texture, context)[1] == "<texel_density>"
 
