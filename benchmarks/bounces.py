@@ -19,11 +19,13 @@ import picture_files
 import picture_scenes
 import picture_truth
 from picture_scenes import demo_scene, shapes
+from picture_truth import Picture
 from prt_baker.addon.prt.job import Settings
 
 CACHE = picture_scenes.ROOT / ".cache" / "bench" / "pictures"
 HDRIS = ("courtyard", "sunset")
 SIZE = 320
+RESOLUTION = 512  # texels a side
 CELLS = 40  # along a side of a wall
 WHITE, RED, GREEN = (0.8, 0.8, 0.8), (0.75, 0.08, 0.06), (0.1, 0.5, 0.08)
 
@@ -85,31 +87,38 @@ def main() -> None:
         folder = Path(temporary)
         box()
         covered = picture_truth.objects(folder) > 0
-        print("| HDRI | bounces | with residual, % | without, % | Cycles' noise, % |")
-        print("|---" * 5 + "|")
+        print("| HDRI | bounces | baked to | with residual, % | without, % | Cycles' noise, % |")
+        print("|---" * 6 + "|")
         for hdri in asked.hdri:
             for bounces in asked.bounces:
                 picture_scenes.show_world(hdri, asked.turn)
                 truth = picture_truth.truth(CACHE, bounces)
-                shown = []
-                for residual in (False, True):
-                    picture_bakes.bake_all(Settings(bounces=bounces, residual=residual))
-                    shown.append(picture_bakes.picture(folder))
-                    picture_bakes.remove_all()
-                without, whole = (picture_truth.relative_error(s, truth, covered) for s in shown)
-                figures = (100 * whole, 100 * without, 100 * truth.noise(covered))
-                print(f"| {hdri} | {bounces} | {' | '.join(f'{f:.1f}' for f in figures)} |")
-                sys.stdout.flush()
-                if asked.image and hdri == asked.hdri[0] and bounces == max(asked.bounces):
-                    picture_files.compare(asked.image, shown[1], truth, covered)
+                for carrier in asked.carrier:
+                    shown = [_shown(bounces, on, carrier, folder) for on in (False, True)]
+                    errors = [picture_truth.relative_error(s, truth, covered) for s in shown]
+                    figures = (*reversed(errors), truth.noise(covered))
+                    cells = " | ".join(f"{100 * figure:.1f}" for figure in figures)
+                    print(f"| {hdri} | {bounces} | {carrier} | {cells} |", flush=True)
+                    if asked.image and hdri == asked.hdri[0] and bounces == max(asked.bounces):
+                        picture_files.compare(asked.image, shown[1], truth, covered)
     sys.stdout.flush()
     os._exit(0)  # Blender may crash in its own clean-up at exit
+
+
+def _shown(bounces: int, residual: bool, carrier: str, folder: Path) -> Picture:
+    """What EEVEE shows of a bake."""
+    settings = Settings(bounces=bounces, residual=residual, resolution=RESOLUTION)
+    picture_bakes.bake_all(settings, carrier)
+    picture = picture_bakes.picture(folder)
+    picture_bakes.remove_all()
+    return picture
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hdri", nargs="+", default=HDRIS)
     parser.add_argument("--bounces", nargs="+", type=int, default=[0, 1, 3])
+    parser.add_argument("--carrier", nargs="+", default=["vertex", "texture"])
     parser.add_argument("--turn", type=float, default=0.0, help="of the world, in degrees")
     parser.add_argument("--image", type=Path, help="the picture: EEVEE, Cycles, their difference")
     return parser.parse_args()

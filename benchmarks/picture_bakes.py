@@ -10,6 +10,7 @@ import picture_truth
 import prt_baker
 from picture_truth import Picture
 from prt_baker.addon import bake, remove
+from prt_baker.addon.atlas_files import Target
 from prt_baker.addon.prt.job import Settings
 from prt_baker.addon.prt.steps import value_of
 
@@ -29,10 +30,10 @@ def add_on() -> Iterator[None]:
         prt_baker.unregister()  # what is registered at exit makes some bpy wheels hang
 
 
-def bake_all(settings: Settings) -> dict:
+def bake_all(settings: Settings, carrier: str = "vertex") -> dict:
     """Bake every mesh under the world as it is; the report."""
     names = [obj.name for obj in picture_scenes.meshes()]
-    steps = bake.bake(bpy.context.scene.name, names, settings)
+    steps = bake.bake(bpy.context.scene.name, names, settings, target=Target(carrier))
     return value_of(steps)
 
 
