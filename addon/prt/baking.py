@@ -82,10 +82,9 @@ class Scene:
         return Scene(job, self.world, self.cache, self.meter, whole=self)
 
     def _rays(self) -> int:
-        """About how many a bake of everything casts that may slip: none whose hits are kept."""
-        settings, points = self.job.settings, sum(len(r.normals) for r in self.job.receivers)
-        is_counted = self.job.kind == "bake" and not settings.bounces
-        return points * settings.rays if is_counted else 0
+        """About how many a bake of everything casts that may slip."""
+        points = sum(len(r.normals) for r in self.job.receivers)
+        return points * self.job.settings.rays if self.job.kind == "bake" else 0
 
     def pilot_key(self, index: int, points: Points) -> str:
         """Names what a pilot says of a receiver; "" where nothing is kept."""

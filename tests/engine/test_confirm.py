@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 import shapes
+from prt_baker.addon.prt.bounces.entries import Entries
+from prt_baker.addon.prt.bounces.hits import Meeting
 from prt_baker.addon.prt.job import Settings
 from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface.points import Points, distinct_points
 from prt_baker.addon.prt.tracing import confirm, rays, transfer
 
 UP = (0.0, 0.0, 1.0)
+OUTSIDE = 7  # a triangle that only a ray which slipped can meet
 
 
 class Leaky:
@@ -23,6 +26,11 @@ class Leaky:
         mask = self.inner.sky_mask(origins, directions)
         mask[:: self.period] = rays.CLEAR
         return mask
+
+    def first_met(self, origins, directions):
+        met = self.inner.first_met(origins, directions)
+        met.triangles[:: self.period] = OUTSIDE
+        return met
 
     def watertight(self):
         self.asked_again += 1
@@ -80,3 +88,54 @@ def test_both_modes_see_the_same(expected):
         pass
     different = np.abs(out - reference).max(axis=1) > 1e-6
     assert different.mean() < 0.002  # a ray in some millions, at most a point or two
+
+
+class Walls(rays.Sky):
+    """Triangle 0 beside the sky, which a ``share`` of the rays of every place reaches."""
+
+    def __init__(self, share):
+        self.share = share
+
+    def first_met(self, origins, directions):
+        met = super().first_met(origins, directions)
+        met.triangles[np.arange(len(directions)) % 64 >= self.share * 64] = 0
+        return met
+
+
+def met(walls, period, places=32):
+    """The triangles (P, 64) that are met through what lets every ``period``-th ray slip."""
+    leaky = Leaky(walls, period)
+    meeting = Meeting(lambda: leaky, Entries(*np.zeros((3, 8), np.int32), 8), 0)
+    towards = np.zeros((64 * places, 3), np.float32)
+    return meeting._met(0, 64, towards, towards).triangles.reshape(-1, 64), leaky.asked_again
+
+
+def test_nothing_from_outside_is_met_in_the_dark():
+    for share in (0, 1 / 64, 1 / 32):
+        found, asked = met(Walls(share), 50)
+        assert asked == 2, "after the first places all are cast in the robust mode"
+        assert not (found == OUTSIDE).any()
+        np.testing.assert_array_equal((found < 0).mean(axis=1), share)
+
+
+def test_in_the_light_what_slips_is_let_be():
+    found, asked = met(Walls(0.5), 50)
+    assert asked == 0
+    assert (found == OUTSIDE).sum() >= 32 * 64 // 50
+
+
+def test_a_dark_place_among_others_is_cast_again():
+    class Mixed(Walls):
+        def first_met(self, origins, directions):
+            whole = super().first_met(origins, directions)
+            whole.triangles[origins[:, 0] > 0] = 0
+            return whole
+
+    walls = Leaky(Mixed(0.5), 50)
+    meeting = Meeting(lambda: walls, Entries(*np.zeros((3, 8), np.int32), 8), 0)
+    origins = np.zeros((64 * 32, 3), np.float32)
+    origins[64 * 20 : 64 * 21] = 1
+    found = meeting._met(0, 64, origins, origins).triangles.reshape(-1, 64)
+    assert walls.asked_again == 1
+    assert (found[20] == 0).all()
+    assert (found[19] == OUTSIDE).any()

@@ -9,6 +9,7 @@ front of.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -59,15 +60,21 @@ class Entries:
         of_entries[first[:-1][baked][:, None] + np.arange(3)] = at_corners[baked]
         return cls(first[: len(triangles)].astype(np.int32), levels, of_entries, count)
 
+    @cached_property
+    def has_cells(self) -> bool:
+        """Whether anything is not baked."""
+        return bool(self.levels.any())
+
     def drawn(self, triangles: Entry, u: Array, v: Array, random: Array) -> Entry:
         """The front entries of rays that hit ``triangles`` (R,) at ``u`` and ``v`` (R,), the shares
         of their second and third corners; ``random`` (R,) in [0, 1) draws the corner."""
         found = self.first.take(triangles)
-        level = self.levels.take(triangles)
-        corner = (random >= 1 - u - v).astype(np.int32)
-        corner += random >= 1 - v
-        if not level.any():
+        left = 1 - v
+        corner = (random >= left).astype(np.int32)
+        corner += random >= left - u
+        if not self.has_cells:
             return found + corner
+        level = self.levels.take(triangles)
         return found + np.where(level > 0, _cell(np.maximum(level, 1), u, v), corner)
 
     def places(self, entries: Index) -> tuple[Index, Float]:

@@ -7,7 +7,7 @@ ray of its own.  An entry takes four bytes.
 
 import threading
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import wait
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..parallel import workers
-from ..tracing.rays import BLOCKED, CLEAR, Geometry, Mask
+from ..tracing.confirm import NEARLY_DARK
+from ..tracing.rays import BLOCKED, CLEAR, Geometry, Mask, Met
 from ..tracing.transfer import Look
 from .entries import Entries
 
@@ -25,7 +26,10 @@ Index = npt.NDArray[np.int64]
 Entry = npt.NDArray[np.int32]
 
 LIMIT_BYTES = 2 << 30  # of what is kept in a run; beyond, rays are traced again for every bounce
-GATHER = 1 << 15  # hits that are summed at once: what they find stays in the processor's cache
+GATHER = 1 << 15  # hits of a chunk, which one thread sums
+CACHED = 1 << 16  # floats that are found before they are summed: they stay in the processor's cache
+PROBE = 8  # of so many places one tells whether the others will be dark
+MOSTLY = 0.25  # of places that are dark: so many are not worth casting twice
 PLASTIC = 0.7548776662466927  # Roberts' R1: draws corners evenly over the rays of a place
 GOLDEN = 0.6180339887498949
 
@@ -39,15 +43,24 @@ class Chunk:
     counts: Entry
     entries: Entry
 
+    def translate(self, source_of: Entry) -> None:
+        """Put sources in the place of the entries."""
+        self.entries = source_of.take(self.entries)
+
     def sums(self, table: Array, scale: float, out: Array) -> None:
         """Write ``scale`` times the sums of the rows of ``table`` (E, K) that each place meets into
         ``out`` (M, K)."""
         some = np.flatnonzero(self.counts)
         if not len(some):
             return
-        starts = (np.cumsum(self.counts) - self.counts)[some]
-        found = table.take(self.entries, axis=0, mode="clip")
-        out[self.numbers[some]] = np.add.reduceat(found, starts, axis=0) * np.float32(scale)
+        ends = np.cumsum(self.counts[some], dtype=np.int64)
+        starts, sums = ends - self.counts[some], np.empty((len(some), table.shape[1]), np.float32)
+        for low, high in _blocks(ends, CACHED // table.shape[1]):
+            first = starts[low]
+            found = table.take(self.entries[first : ends[high - 1]], axis=0, mode="clip")
+            np.add.reduceat(found, starts[low:high] - first, axis=0, out=sums[low:high])
+        sums *= np.float32(scale)
+        out[self.numbers[some]] = sums
 
 
 class Gathered(Protocol):
@@ -78,20 +91,62 @@ class Meeting:
         self, numbers: Index, first: int, origins: Array, directions: Array
     ) -> tuple[Mask, Chunk]:
         """As a Look is asked: the mask, and what was hit."""
-        met = self._geometry().first_met(origins, directions)
         width = len(directions) // max(1, len(numbers))
-        hit = np.flatnonzero(met.triangles >= 0)
-        triangles, towards = met.triangles.take(hit), directions.take(hit, axis=0)
-        place, ray = np.divmod(hit, max(1, width))
-        shift = (numbers * GOLDEN + self._seed * PLASTIC) % 1
-        random = ((ray + first) * PLASTIC + shift.take(place)) % 1
-        u, v = met.u.take(hit), met.v.take(hit)
-        entries = self._entries.drawn(triangles, u, v, random.astype(np.float32))
-        along = np.einsum("rc,rc->r", met.facing.take(hit, axis=0), towards)
-        entries += (along > 0) * np.int32(self._entries.count)
-        counts = np.bincount(place, minlength=len(numbers)).astype(np.int32)
-        mask = np.where(met.triangles >= 0, np.int32(BLOCKED), np.int32(CLEAR))
+        met = self._met(first, width, origins, directions)
+        blocked = met.triangles >= 0
+        hit = np.flatnonzero(blocked)
+        random = self._random(numbers, np.arange(first, first + width))
+        entries = self._entries.drawn(
+            met.triangles.take(hit), met.u.take(hit), met.v.take(hit), random.take(hit)
+        )
+        along = np.einsum("rc,rc->r", met.facing, directions)
+        entries += (along > 0).take(hit) * np.int32(self._entries.count)
+        counts = np.count_nonzero(blocked.reshape(len(numbers), width), axis=1).astype(np.int32)
+        mask = np.where(blocked, np.int32(BLOCKED), np.int32(CLEAR))
         return mask, Chunk(np.array(numbers), counts, entries)
+
+    def _met(self, first: int, width: int, origins: Array, directions: Array) -> Met:
+        """What rays meet, ``width`` of each place, whose ``first`` ones are clear.
+
+        At a place that sees next to no sky a ray that slipped between two triangles would bring
+        light, so its rays are cast in the robust mode: after the fast one has shown it to be dark,
+        or at once where most of the first places are.
+        """
+        geometry = self._geometry()
+        if not geometry.lets_slip or not len(directions):
+            return geometry.first_met(origins, directions)
+        probe = width * -(-len(directions) // max(1, width * PROBE))
+        begun, dark = self._checked(geometry, first, width, origins[:probe], directions[:probe])
+        rest = origins[probe:], directions[probe:]
+        if dark > MOSTLY:
+            others = geometry.watertight().first_met(*rest)
+        else:
+            others, _ = self._checked(geometry, first, width, *rest)
+        pairs = zip(vars(begun).values(), vars(others).values(), strict=True)
+        return Met(*(np.concatenate(pair) for pair in pairs))
+
+    @staticmethod
+    def _checked(
+        geometry: Geometry, first: int, width: int, origins: Array, directions: Array
+    ) -> tuple[Met, float]:
+        """What rays meet for certain, and the share of places that are dark."""
+        met = geometry.first_met(origins, directions)
+        clear = first + np.count_nonzero(met.triangles.reshape(-1, width) < 0, axis=1)
+        dark = np.flatnonzero(clear <= NEARLY_DARK * (first + width))
+        if len(dark):
+            rays = (dark[:, None] * width + np.arange(width)).reshape(-1)
+            certain = geometry.watertight().first_met(origins[rays], directions[rays])
+            for name, values in vars(certain).items():
+                getattr(met, name)[rays] = values
+        return met, len(dark) / max(1, len(clear))
+
+    def _random(self, numbers: Index, rays: Index) -> Array:
+        """What draws the corners for ``rays`` (W,) of places ``numbers`` (P,), one after the other,
+        in [0, 1)."""
+        shift = (numbers * GOLDEN + self._seed * PLASTIC) % 1
+        drawn = shift.astype(np.float32)[:, None] + (rays * PLASTIC % 1).astype(np.float32)
+        drawn -= drawn >= 1
+        return np.asarray(drawn.reshape(-1))
 
 
 class Kept:
@@ -113,19 +168,19 @@ class Kept:
     def gather(self, table: Array, source_of: Entry, out: Array) -> Generator[int, None, None]:
         """See Gathered.  The first time, sources take the place of the entries."""
         if not self._translated:
-            for chunk in self._chunks:
-                chunk.entries = source_of.take(chunk.entries)
+            yield from self._each(lambda chunk: chunk.translate(source_of))
             self._translated = True
         out[:] = 0
+        yield from self._each(lambda chunk: chunk.sums(table, 1 / self._rays, out))
+
+    def _each(self, work: Callable[[Chunk], None]) -> Iterator[int]:
+        """Do ``work`` with every chunk, whichever comes first."""
         with workers(self._threads) as pool:
-            pending: set[Future[None]] = {
-                pool.submit(chunk.sums, table, 1 / self._rays, out) for chunk in self._chunks
-            }
-            while pending:
-                done, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
-                for future in done:
-                    future.result()
-                yield 0
+            for future in [pool.submit(work, chunk) for chunk in self._chunks]:
+                while not wait([future], timeout=0.5).done:
+                    yield 0
+                future.result()
+        yield 0
 
 
 class Again:
@@ -181,7 +236,7 @@ class Leaving:
 
         def look(numbers: Index, first: int, origins: Array, directions: Array) -> Mask:
             mask, chunk = self.meeting(numbers, first, origins, directions)
-            chunk.entries = self.source_of.take(chunk.entries)
+            chunk.translate(self.source_of)
             chunk.sums(self.table, 1 / rays, out)
             return mask
 
@@ -243,15 +298,19 @@ class Budget:
 def split(hits: Chunk) -> list[Chunk]:
     """``hits`` in chunks of about GATHER."""
     ends = np.cumsum(hits.counts, dtype=np.int64)
-    total = int(ends[-1]) if len(ends) else 0
-    cuts = np.searchsorted(ends, np.arange(GATHER, total, GATHER))
-    cuts = np.unique(np.concatenate([[0], cuts + 1, [len(ends)]]))
     chunks = []
-    for low, high in pairwise(cuts):
+    for low, high in _blocks(ends, GATHER):
         before = int(ends[low - 1]) if low else 0
         rows, its = slice(low, high), slice(before, int(ends[high - 1]))
         chunks.append(Chunk(hits.numbers[rows], hits.counts[rows], hits.entries[its]))
     return chunks
+
+
+def _blocks(ends: Index, size: int) -> Iterator[tuple[int, int]]:
+    """Parts of rows, whose hits end at ``ends`` (P,), with about ``size`` hits each."""
+    total = int(ends[-1]) if len(ends) else 0
+    cuts = np.searchsorted(ends, np.arange(size, total, size)) + 1
+    return pairwise(np.unique(np.concatenate([[0], cuts, [len(ends)]])).tolist())
 
 
 def joined(chunks: list[Chunk]) -> Chunk:

@@ -10,6 +10,7 @@ Index = npt.NDArray[np.int64]
 Entry = npt.NDArray[np.int32]
 
 COLOURED = 1 / 255  # the largest difference of two channels of an albedo that is still grey
+DENSE = 16  # numbers a key up to which a table of all numbers is faster than sorting
 ALBEDO_STEPS = 1023  # albedos closer than one step are one
 
 
@@ -45,12 +46,12 @@ class Sources:
         has = nodes[used] >= 0
         used, albedo = used[has], albedo[has]
         steps = np.rint(albedo * ALBEDO_STEPS).astype(np.int64)
-        keys = nodes[used].astype(np.int64)
-        for channel in range(albedo.shape[1]):
-            keys = keys * (ALBEDO_STEPS + 1) + steps[:, channel]
-        _, first, number = np.unique(keys, return_index=True, return_inverse=True)
+        colours = _numbered(steps @ (ALBEDO_STEPS + 1) ** np.arange(albedo.shape[1]))[1]
+        first, number = _numbered(
+            nodes[used].astype(np.int64) * (colours.max(initial=0) + 1) + colours
+        )
         of_entries = np.full(len(nodes), len(first), np.int32)
-        of_entries[used] = number.reshape(-1)
+        of_entries[used] = number
         return cls(nodes[used[first]].astype(np.int64), albedo[first], of_entries)
 
     def table(self, values: Array, channel: Index) -> Array:
@@ -60,3 +61,16 @@ class Sources:
         np.take(values, self.nodes, axis=0, out=table[:-1], mode="clip")
         table[:-1] *= self.albedo[:, np.minimum(channel, self.albedo.shape[1] - 1)]
         return table
+
+
+def _numbered(keys: Index) -> tuple[Index, Index]:
+    """Where each different one of ``keys`` (E,), not negative, stands, in the order of the keys,
+    and which of them each is (E,)."""
+    most = int(keys.max(initial=-1)) + 1
+    if most > DENSE * len(keys):
+        _, first, number = np.unique(keys, return_index=True, return_inverse=True)
+        return first, number.reshape(-1)
+    place = np.full(most, -1, np.int64)
+    place[keys] = np.arange(len(keys))
+    there = place >= 0
+    return place[there], (np.cumsum(there) - 1)[keys]

@@ -7,7 +7,8 @@ each point: they are not smooth enough to be shown, but add up to the same light
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -47,18 +48,21 @@ class Projection:
         at, mesh = self.traced.point >= 0, self.parts.mesh
         values = np.zeros((mesh.count, found.shape[1]), np.float32)
         values[self.traced.point[at]] = found[at]
-        mine = self.first.fitted[part_of(self.parts, self.traced)] & ~self.unseen
+        mine, samples = self._fitted
         if mine.any():
             points = self.first.fitted[self.parts.of_points]
-            values[points] = of_samples(self._samples(mine, found))[points]
+            values[points] = of_samples(replace(samples, values=found[mine]))[points]
         values[self.hidden] = 0
         values[self.filled] = values[self.givers]
         return values
 
-    def _samples(self, mine: Mask, found: Array) -> Samples:
+    @cached_property
+    def _fitted(self) -> tuple[Mask, Samples]:
+        """Which of the places (M,) count in a fit, and these without what was found there."""
+        mine = self.first.fitted[part_of(self.parts, self.traced)] & ~self.unseen
         its = self.traced[mine]
-        parts = part_of(self.parts, its)
-        return Samples(its.places, found[mine], self.first.areas(its), parts, its.point < 0)
+        parts, nothing = part_of(self.parts, its), np.empty((0, 0), np.float32)
+        return mine, Samples(its.places, nothing, self.first.areas(its), parts, its.point < 0)
 
     def _averages(self, samples: Samples) -> Array:
         mesh, places, areas = self.parts.mesh, samples.places, samples.areas
