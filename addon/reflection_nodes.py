@@ -114,12 +114,13 @@ def _view(tree: bpy.types.NodeTree, inputs: Inputs) -> View:
     given = inputs["Normal"]
     is_given = make.scalar("GREATER_THAN", make.vector("DOT_PRODUCT", given, given), 0.25)
     normal = make.vector("NORMALIZE", make.mixed(own, given, is_given))
-    facing = make.vector("DOT_PRODUCT", normal, towards)
+    n_v = make.clamped(make.vector("DOT_PRODUCT", normal, towards))
     roughness = make.clamped(inputs["Roughness"])
     mirrored = make.vector("REFLECT", make.vector("MULTIPLY", towards, -1.0), normal)
-    bent = make.scalar("MULTIPLY", make.scalar("POWER", roughness, 4.0), inputs["Rough Look-up"])
+    share = make.scalar("POWER", roughness, make.scalar("MULTIPLY_ADD", n_v, 2.0, 2.0))
+    bent = make.scalar("MULTIPLY", share, inputs["Rough Look-up"])
     direction = make.vector("NORMALIZE", make.mixed(mirrored, normal, bent))
-    return View(normal, own, towards, make.clamped(facing), roughness, direction)
+    return View(normal, own, towards, n_v, roughness, direction)
 
 
 def _radiance(tree: bpy.types.NodeTree, seen: View, image: bpy.types.Image) -> Socket:

@@ -32,10 +32,9 @@ def test_it_halves_the_error_and_beats_ambient_occlusion(ball, roughness):
 
 
 def test_rough_surfaces_tell_whether_the_sun_stands_behind_the_wall(ball):
-    for roughness, most in ((0.8, 0.85), (1.0, 0.7)):
-        skies = [sky(seed, sun=100.0) for seed in range(6)]
-        _, _, lobe, _, both, _, _ = np.mean(ball.errors(skies, roughness), axis=0)
-        assert both < most * lobe
+    skies = [sky(seed, sun=1000.0) for seed in range(6)]
+    _, _, lobe, _, both, _, _ = np.mean(ball.errors(skies, 1.0), axis=0)
+    assert both < 0.6 * lobe
 
 
 def test_under_a_white_sky_it_is_the_share_of_the_lobe(ball):

@@ -6,7 +6,8 @@
     exit    = base colour (1 - metallic) (1 - max S_dielectric) diffuse
               + mix(S_dielectric, S_metal, metallic) L
 
-A and B at (roughness, n_v), L the filtered radiance about mix(mirrored, normal, roughness⁴).
+A and B at (roughness, n_v), L the filtered radiance about mix(mirrored, normal, r^(2 + 2 n_v)),
+r being the roughness.
 """
 
 from dataclasses import dataclass
@@ -60,5 +61,6 @@ def look_up(normals: Float, views: Float, roughness: float, *, bent: bool = True
     facing = (normals * views).sum(axis=1, keepdims=True)
     mirrored = 2 * facing * normals - views
     if bent:
-        mirrored = mirrored + roughness**4 * (normals - mirrored)
+        share = roughness ** (2 + 2 * facing.clip(0, 1))
+        mirrored = mirrored + share * (normals - mirrored)
     return np.asarray(mirrored / np.linalg.norm(mirrored, axis=1, keepdims=True))
