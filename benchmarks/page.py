@@ -72,6 +72,19 @@ PICTURES = """Relative RMS of the pixels that show a mesh, in EEVEE against Cycl
 no bounces, the world's full HDRI), without Cycles' noise, in %.
 """
 
+REFLECTIONS = """Spheres under three of Blender's HDRIs, each under the world alone: relative RMS
+over their pixels, the mean of the HDRIs. *Formula* is what `docs/conventions.md` says, in numpy;
+the *sum over texels* is what the same BRDF reflects of every texel of the HDRI, without split sum
+and filter, so that its distance to Cycles is what the models differ. Paint is a dielectric over
+diffuse colour; the white metal has both switches off in EEVEE and is a Glossy BSDF (GGX, which
+scatters once) in Cycles.
+
+![Paint and gold of roughness 0.2 to 1, in EEVEE above and in Cycles below](images/roughness.jpg)
+
+*Gold and paint, of roughness 0.2, 0.4, 0.6, 0.8 and 1, under* courtyard. *Above: EEVEE. Below:
+Cycles.*
+"""
+
 SCALE = """A displaced sheet under a thousand rocks, ten million triangles together.
 """
 
@@ -135,6 +148,7 @@ SECTIONS = (
     Section("Rate", RATE, script("bake_rate.py"), is_short=True),
     Section("Error on the surface", SURFACE, script("surface_error.py")),
     Section("Pictures", PICTURES, script("pictures.py")),
+    Section("Reflections", REFLECTIONS, script("specular.py")),
     Section("Scale", SCALE, script("scale.py")),
     Section("Real inputs", REAL, script("real_inputs.py")),
 )

@@ -49,7 +49,7 @@ def truth(cache: Path, bounces: int = 0) -> Truth:
     if not path.exists():
         cache.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory() as folder:
-            pictures = [colour(_cycles(Path(folder), SAMPLES, seed, bounces)) for seed in (1, 2)]
+            pictures = [colour(cycles(Path(folder), SAMPLES, seed, bounces)) for seed in (1, 2)]
         np.savez(path, first=pictures[0], second=pictures[1])
     with np.load(path) as kept:
         return Truth(kept["first"], kept["second"])
@@ -63,7 +63,7 @@ def objects(folder: Path) -> npt.NDArray[np.int64]:
     """
     layer = bpy.context.view_layer
     layer.use_pass_position = layer.use_pass_object_index = True
-    seen = _cycles(folder, 1, 1)
+    seen = cycles(folder, 1, 1)
     shown = eevee(folder)
     layer.use_pass_position = layer.use_pass_object_index = False
     places = [np.stack([p[f"Position.{c}"] for c in "XYZ"], axis=-1) for p in (seen, shown)]
@@ -105,7 +105,7 @@ def colour(picture: dict[str, Picture]) -> Picture:
     return np.stack([picture[f"Combined.{c}"] for c in "RGB"], axis=-1)
 
 
-def _cycles(folder: Path, samples: int, seed: int, bounces: int = 0) -> dict[str, Picture]:
+def cycles(folder: Path, samples: int, seed: int, bounces: int = 0) -> dict[str, Picture]:
     """Diffuse light of the whole HDRI."""
     scene, cycles = bpy.context.scene, bpy.context.scene.cycles
     scene.render.engine = "CYCLES"
