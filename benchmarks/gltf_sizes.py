@@ -42,10 +42,10 @@ ERRORS = (0.05, 0.02, USUAL, 0.005)  # and others, of the bakes
 CURVES = ("order 3", "order 5")
 IN_TEXTURES = ("order 3", "order 3, no residual", "order 5")
 TEXTURE = ("--carrier", "texture", "--resolution", "1024")
-HEADER = """| scene | bake | vertices | bytes a vertex | MB | in 16 bits, MB \
-| error of 16 bits, RMS | largest | compressed to 1 %, MB | error, RMS | largest |
-|---|---|---|---|---|---|---|---|---|---|---|"""
-CURVE = """| scene | bake | error asked for | MB | bytes a vertex | error, RMS | largest |
+HEADER = """| scene | bake | bytes a vertex | floats, MB | 16 bits, MB | error, RMS | largest \
+| clusters for 1 %, MB | error, RMS | largest |
+|---|---|---|---|---|---|---|---|---|---|"""
+CURVE = """| scene | bake | asked for | MB | bytes a vertex | error, RMS | largest |
 |---|---|---|---|---|---|---|"""
 TEXTURES = """| scene | bake | texels | pictures | MB | as float32, MB | error, RMS | largest |
 |---|---|---|---|---|---|---|---|"""
@@ -115,7 +115,6 @@ def on_vertices(cache: Path, small: list[str]) -> list[str]:
     truth = light_of(exact)
     widths = {4 * len(exact.prt(name)["layout"]) for name in baked(exact)}
     return [
-        f"{len(truth):,}",
         " and ".join(str(width) for width in sorted(widths)),
         f"{weight(exact) / 1e6:.2f}",
         f"{weight(short) / 1e6:.2f}",

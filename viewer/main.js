@@ -22,7 +22,9 @@ async function open(name, buffer) {
 }
 
 async function openModel(name, buffer) {
-  const { baked, triangles, attributes, pictures, problems } = await stage.loadModel(buffer);
+  const { baked, triangles, attributes, pictures, problems } = await stage.loadModel(buffer).catch((error) => {
+    throw new Error(`it cannot be read (${error.message})`);
+  });
   for (const id of ['environment', 'model']) slide(id, 0);
   $('name').textContent = name;
   const stored = [attributes && `${count(attributes, 'attribute')} each`, pictures && count(pictures, 'picture')].filter(Boolean);

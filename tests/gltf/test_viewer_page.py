@@ -117,7 +117,7 @@ def test_what_cannot_be_shown_is_said(page, file, tmp_path):
         return [first, $('#message').textContent];
     """
     first, second = page.run(HELPERS + body, bad=tmp_path / "bad.glb")
-    assert first.startswith("bad.glb: ")
+    assert first.startswith("bad.glb: it cannot be read (")
     assert "neither .glb, .hdr nor .exr" in second
 
 
