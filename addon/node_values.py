@@ -1,12 +1,15 @@
 """Where a node group finds what is baked: in attributes of the mesh, or in the tiles of an atlas.
 
 Tiles are read through one image, so that they are one sampler to EEVEE however many they are.  The
-place is kept inside its tile by ``margin`` texels: there a filter reads no neighbouring tile.
+place is kept inside its tile by ``margin`` texels, and mixed here from four texels: EEVEE's own
+filter takes a mip level by the step from pixel to pixel, which leaps where a chart ends, and finds
+a mean of all tiles there.
 """
 
 import bpy
 
 from . import atlas_images
+from .node_maths import Maths
 from .prt.layout import Layout
 from .prt.tiles import tile_grid
 from .uv_maps import NAME
@@ -24,8 +27,9 @@ def floats(tree: bpy.types.NodeTree, layout: Layout, image: bpy.types.Image | No
         place = _inside_tile(tree, atlas_images.margin(image))
         columns, rows = tile_grid(len(layout.attributes))
         cells = [(k % columns, rows - 1 - k // columns) for k in range(len(layout.attributes))]
+        corners, shares = _four_texels(Maths(tree, 3), place, image.size[0] // columns)
         fours = [
-            _tile(tree, image, _scaled(tree, place, (columns, rows), cell, row), row)
+            _tile(Maths(tree, 4 + row), image, corners, shares, (columns, rows), cell)
             for row, cell in enumerate(cells)
         ]
     return [
@@ -42,12 +46,52 @@ def _attribute(tree: bpy.types.NodeTree, name: str, row: int) -> Four:
     return _four(tree, node.outputs["Vector"], node.outputs["Alpha"], row)
 
 
-def _tile(tree: bpy.types.NodeTree, image: bpy.types.Image, place: Socket, row: int) -> Four:
-    """Four floats of the tile in which ``place`` is."""
-    node = _node(tree, "ShaderNodeTexImage", -800, -300 * row)
-    node.image, node.interpolation, node.extension = image, "Linear", "EXTEND"
-    tree.links.new(place, node.inputs["Vector"])
-    return _four(tree, node.outputs["Color"], node.outputs["Alpha"], row)
+def _four_texels(
+    make: Maths, place: Socket, size: int
+) -> tuple[list[Socket], tuple[Socket, Socket]]:
+    """The centres of the four texels about ``place``, of ``size`` a side, the lower two first, and
+    how far it lies to the right and up between them."""
+    texels = make.vector("MULTIPLY_ADD", place, float(size), (-0.5, -0.5, 0.0))
+    texels = make.vector("MINIMUM", make.vector("MAXIMUM", texels, 0.0), float(size - 1))
+    corner, part = make.vector("FLOOR", texels), make.vector("FRACTION", texels)
+    right, up, _ = make.parts(part)
+    centres = [
+        make.vector("MULTIPLY_ADD", corner, 1 / size, ((i + 0.5) / size, (j + 0.5) / size, 0.0))
+        for j in (0, 1)
+        for i in (0, 1)
+    ]
+    return centres, (right, up)
+
+
+def _tile(  # noqa: PLR0917 - a place, and a tile
+    make: Maths,
+    image: bpy.types.Image,
+    centres: list[Socket],
+    shares: tuple[Socket, Socket],
+    grid: tuple[int, int],
+    cell: tuple[int, int],
+) -> Four:
+    """Four floats at the place between ``centres``, of the tile in ``cell`` of the ``grid``,
+    counted from below."""
+    right, up = shares
+    scale = (1 / grid[0], 1 / grid[1], 0.0)
+    offset = (cell[0] / grid[0], cell[1] / grid[1], 0.0)
+    nodes = []
+    for centre in centres:
+        node = make.node("ShaderNodeTexImage")
+        node.image, node.interpolation, node.extension = image, "Closest", "EXTEND"
+        make.tree.links.new(make.vector("MULTIPLY_ADD", centre, scale, offset), node.inputs[0])
+        nodes.append(node)
+    colours, alphas = ([node.outputs[k] for node in nodes] for k in ("Color", "Alpha"))
+    below, above = (make.mixed(*colours[k : k + 2], right) for k in (0, 2))
+    rows = [_mixed(make, *alphas[k : k + 2], right) for k in (0, 2)]
+    return (*make.parts(make.mixed(below, above, up)), _mixed(make, *rows, up))
+
+
+def _mixed(make: Maths, first: Socket, second: Socket, share: Socket) -> Socket:
+    """From the number ``first`` to ``second``."""
+    difference = make.scalar("SUBTRACT", second, first)
+    return make.scalar("MULTIPLY_ADD", difference, share, first)
 
 
 def _four(tree: bpy.types.NodeTree, three: Socket, alpha: Socket, row: int) -> Four:
@@ -68,18 +112,6 @@ def _inside_tile(tree: bpy.types.NodeTree, margin: float) -> Socket:
         tree.links.new(socket, node.inputs[0])
         socket = node.outputs[0]
     return socket
-
-
-def _scaled(
-    tree: bpy.types.NodeTree, place: Socket, grid: tuple[int, int], cell: tuple[int, int], row: int
-) -> Socket:
-    """``place`` in the picture, for the tile in ``cell`` of the ``grid``, counted from below."""
-    node = _node(tree, "ShaderNodeVectorMath", -1000, -300 * row)
-    node.operation = "MULTIPLY_ADD"
-    node.inputs[1].default_value = (1 / grid[0], 1 / grid[1], 0)
-    node.inputs[2].default_value = (cell[0] / grid[0], cell[1] / grid[1], 0)
-    tree.links.new(place, node.inputs[0])
-    return node.outputs[0]
 
 
 def _node(tree: bpy.types.NodeTree, kind: str, x: float, y: float) -> bpy.types.Node:

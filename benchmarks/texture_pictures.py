@@ -44,7 +44,7 @@ def room() -> tuple[str, tuple[View, ...]]:
     demo_scene.add_world(bpy.context.scene, demo_scene.bundled_hdri("forest"), 0)
     views = (
         ((3.3, 0.4, 1.7), (1.4, 2.6, 0.6), 22),
-        ((5.7, 2.6, 1.7), (3.9, 1.5, 0.3), 22),
+        ((5.8, 0.3, 2.2), (3.75, 1.3, 0.3), 20),
         ((2.6, 1.6, 0.9), (3.6, 3.3, 0.3), 22),
     )
     return "Room", views
