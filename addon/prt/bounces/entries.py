@@ -80,7 +80,10 @@ class Entries:
     def places(self, entries: Index) -> tuple[Index, Float]:
         """The triangles (E,) and barycentric coordinates (E, 3) in the middle of ``entries``."""
         front = entries % self.count
-        triangles = np.searchsorted(self.first, front, side="right") - 1
+        if self.has_cells:
+            triangles = np.searchsorted(self.first, front, side="right") - 1
+        else:
+            triangles = front // 3
         within, level = front - self.first[triangles], self.levels[triangles]
         n = np.maximum(level, 1).astype(np.int64)
         row = n - np.ceil(np.sqrt(np.maximum(n * n - within, 0))).astype(np.int64)

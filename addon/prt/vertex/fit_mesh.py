@@ -172,7 +172,18 @@ def right_side(mesh: Mesh, places: Places, weights: Float, values: Array) -> Arr
 def lumped(mesh: Mesh, places: Places, weights: Float, sums: Array) -> Array:
     """Averages (P, K) of the samples about each point, ``sums`` being their right side (P, K); of
     the neighbours' where it has none."""
-    total = right_side(mesh, places, weights, np.ones((len(places), 1), np.float32))
+    ones = np.ones((len(places), 1), np.float32)
+    return _over(mesh, sums, right_side(mesh, places, weights, ones))
+
+
+def averages(mesh: Mesh, places: Places, weights: Float, values: Array) -> Array:
+    """``lumped`` of ``values`` (S, K)."""
+    with_ones = np.concatenate([values, np.ones((len(values), 1), np.float32)], axis=1)
+    sums = right_side(mesh, places, weights, with_ones)
+    return _over(mesh, sums[:, :-1], sums[:, -1:])
+
+
+def _over(mesh: Mesh, sums: Array, total: Array) -> Array:
     known = total[:, 0] > 0
     total[~known] = 1
     out: Array = sums / total

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..surface.points import Index
 from .fit import Fit, Samples
-from .fit_mesh import lumped, right_side
+from .fit_mesh import averages
 from .parts import Parts
 from .traced import Array, Mask, Traced, part_of
 from .values import Values
@@ -65,8 +65,7 @@ class Projection:
         return mine, Samples(its.places, nothing, self.first.areas(its), parts, its.point < 0)
 
     def _averages(self, samples: Samples) -> Array:
-        mesh, places, areas = self.parts.mesh, samples.places, samples.areas
-        return lumped(mesh, places, areas, right_side(mesh, places, areas, samples.values))
+        return averages(self.parts.mesh, samples.places, samples.areas, samples.values)
 
     def _fit(self, samples: Samples) -> Array:
         parts, threads = self.parts, self.first.threads
