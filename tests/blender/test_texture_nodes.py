@@ -86,3 +86,17 @@ def test_no_tile_shows_in_another_when_it_is_far_away(scene, tmp_path, margin):
     scene.render.resolution_x = scene.render.resolution_y = round(size / (2 * margin))
     picture = colour(render(scene, tmp_path), "Combined")
     np.testing.assert_allclose(picture, 0.8, rtol=2e-3)
+
+
+def test_no_read_takes_a_mip_level(scene, tmp_path):
+    """It would be the coarsest at some pixels of a chart's border, a mean of all tiles."""
+    obj = quad(scene, material=principled())
+    _, image, _ = textured.write(scene, tmp_path, Layout(3, turns=1), obj)
+    reads = [
+        node
+        for tree in bpy.data.node_groups
+        for node in tree.nodes
+        if node.type == "TEX_IMAGE" and node.image == image
+    ]
+    assert len(reads) == 4 * 3  # texels of each tile
+    assert {node.interpolation for node in reads} == {"Closest"}
