@@ -35,7 +35,7 @@ from .digests import add_array
 from .job import ALL, RECEIVER_ARRAYS, Job, Progress
 from .results import RESULT_ARRAYS, ReceiverResult
 from .surface.points import Points
-from .tape import Tape
+from .tape import Remembered, Tape
 from .texture.places import pilot_points
 from .tracing.transfer import CAST, MAP_RAYS, Counts, Shortcuts, trace_all
 from .vertex.solver import Solved
@@ -140,7 +140,10 @@ class Bounces:
         self._direct: list[_Direct] = []
         self._count = sum(len(its.origins) for its in points)
         vertices, triangles = job.occluder_vertices, job.occluder_triangles
-        self._unbaked = Unbaked(entries, np.asarray(vertices), np.asarray(triangles), self._count)
+        occlusion = Remembered(lambda: scene.occlusion, tape)
+        self._unbaked = Unbaked(
+            entries, np.asarray(vertices), np.asarray(triangles), occlusion, self._count
+        )
         self._found: list[Array] = []
         self._report: dict[str, Any] = {}
 
@@ -190,9 +193,10 @@ class Bounces:
         self._tape.save({})
         self._used = np.flatnonzero(used)
         counts = self._unbaked.counts
+        looks = 0 if self._tape.known else self._unbaked.looks
         self._report.update(
             unbaked_places=self._unbaked.places,
-            unbaked_rays=counts[CAST] + counts[MAP_RAYS],
+            unbaked_rays=counts[CAST] + counts[MAP_RAYS] + looks,
             entries_without_light=int((self._unbaked.nodes[self._used] < 0).sum()),
         )
 

@@ -26,6 +26,7 @@ Keys = npt.NDArray[np.uint64]
 
 CELL = 1 / 24  # of the receivers' extent: the side of a cell
 MOST_ROWS = 128  # of cells in one triangle
+TO_CORNER = 0.75 / 3 * np.array([[-1, -1], [2, -1], [-1, 2]])  # of a lower cell's side
 CORNER = 2 / 3  # the place that stands for a corner's share of a triangle: its own coordinate
 MIXERS = np.array([0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 
@@ -77,8 +78,9 @@ class Entries:
         level = self.levels.take(triangles)
         return found + np.where(level > 0, _cell(np.maximum(level, 1), u, v), corner)
 
-    def places(self, entries: Index) -> tuple[Index, Float]:
-        """The triangles (E,) and barycentric coordinates (E, 3) in the middle of ``entries``."""
+    def places(self, entries: Index, towards: int | None = None) -> tuple[Index, Float]:
+        """The triangles (E,) and barycentric coordinates (E, 3) in the middle of ``entries``; of
+        those that are cells, most of the way from there ``towards`` one of their three corners."""
         front = entries % self.count
         if self.has_cells:
             triangles = np.searchsorted(self.first, front, side="right") - 1
@@ -88,8 +90,13 @@ class Entries:
         n = np.maximum(level, 1).astype(np.int64)
         row = n - np.ceil(np.sqrt(np.maximum(n * n - within, 0))).astype(np.int64)
         rest = within - row * (2 * n - row)
-        third = (1 + rest % 2) / 3
-        u, v = (row + third) / n, (rest // 2 + third) / n
+        upper = rest % 2
+        third = (1 + upper) / 3
+        u, v = row + third, rest // 2 + third
+        if towards is not None:
+            to_u, to_v = TO_CORNER[towards]
+            u, v = u + (1 - 2 * upper) * to_u, v + (1 - 2 * upper) * to_v
+        u, v = u / n, v / n
         cells = np.stack([1 - u - v, u, v], axis=1)
         corners = np.full((len(front), 3), (1 - CORNER) / 2)
         at_corner = level == 0

@@ -12,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..surface.points import Points, morton_order, surface_bias
+from ..tracing.buried import buried, rays_for
+from ..tracing.rays import Occlusion
 from ..tracing.transfer import Counts
 from .entries import Entries
 from .hits import Gathered
@@ -29,7 +31,8 @@ class Unbaked:
     """Nodes of entries that are no points of receivers, numbered from ``first_node`` on.
 
     ``nodes`` (2 count,) are those of every entry, -1 for none; ``values`` and ``gathered`` what was
-    found there and what the rays met, round by round; ``counts``, the rays.
+    found there and what the rays met, round by round; ``counts``, the rays, and ``looks``, those
+    that told what lies inside of other things, by ``occlusion``.
     """
 
     nodes: npt.NDArray[np.int32]
@@ -38,10 +41,15 @@ class Unbaked:
     counts: Counts
 
     def __init__(
-        self, entries: Entries, vertices: Float, triangles: Index, first_node: int
+        self,
+        entries: Entries,
+        vertices: Float,
+        triangles: Index,
+        occlusion: Occlusion,
+        first_node: int,
     ) -> None:
         self._entries, self._vertices, self._triangles = entries, vertices, triangles
-        self._first_node = first_node
+        self._occlusion, self._first_node, self.looks = occlusion, first_node, 0
         nodes = np.full(2 * entries.count, -1, np.int32)
         nodes[: entries.count] = entries.points
         self.nodes, self.values, self.gathered, self.counts = nodes, [], [], Counter()
@@ -57,7 +65,7 @@ class Unbaked:
         new = used[self.nodes[used] < 0]
         if not len(new):
             return
-        points = self._points(new)
+        points = self._seen_points(new)
         order = morton_order(points.origins)
         places = Points(points.origins[order], points.normals[order], points.element_points)
         few = max(FEWEST, rays // SHARE)
@@ -67,9 +75,26 @@ class Unbaked:
         self.gathered.append(gathered)
         self.counts += counts
 
-    def _points(self, entries: Index) -> Points:
+    def _seen_points(self, entries: Index) -> Points:
+        """As ``_points``, where a cell's middle lies inside of something from another place in it
+        that does not: beside a thin wall it would be dark."""
+        found = self._points(entries)
+        hidden = np.arange(len(entries))
+        for towards in (None, 0, 1, 2):
+            its = self._points(entries[hidden], towards)
+            dark = np.zeros((len(hidden), 1), np.float32)
+            is_in = buried(its.origins, its.normals, dark, self._occlusion)
+            self.looks += rays_for(dark)
+            out = hidden[~is_in]
+            found.origins[out], found.normals[out] = its.origins[~is_in], its.normals[~is_in]
+            hidden = hidden[is_in]
+            if not len(hidden):
+                break
+        return found
+
+    def _points(self, entries: Index, towards: int | None = None) -> Points:
         """Where the rays of ``entries`` (E,) start, in float32, with geometric normals."""
-        triangles, barycentric = self._entries.places(entries)
+        triangles, barycentric = self._entries.places(entries, towards)
         corners = self._vertices[self._triangles[triangles]].astype(np.float64)
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
