@@ -100,6 +100,11 @@ def turn():
     nodes["Mapping"].inputs["Rotation"].default_value[2] += math.pi / 2
 
 
+def reseed():
+    """Let the next bake find nothing that is known already."""
+    bpy.context.scene.prt.seed += 1
+
+
 def save():
     """Write the scene, as it is, for a headless bake, and the same without a world."""
     bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "scene.blend"), copy=True)
@@ -113,7 +118,14 @@ def quit_blender():
     bpy.ops.wm.quit_blender()
 
 
-ACTIONS = {"show": show, "render": render, "turn": turn, "save": save, "quit": quit_blender}
+ACTIONS = {
+    "show": show,
+    "render": render,
+    "turn": turn,
+    "reseed": reseed,
+    "save": save,
+    "quit": quit_blender,
+}
 
 
 def scene_hash():

@@ -129,6 +129,7 @@ def test_the_button_bakes_while_the_bar_moves_and_the_viewport_shows_it(window):
 
 
 def test_escape_leaves_the_scene_as_it_was(window):
+    window.ask("reseed")
     before = window.state()
     assert before["baked"]
     press_bake(window)
