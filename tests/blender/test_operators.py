@@ -162,7 +162,7 @@ def test_only_settings_are_saved(scene):
     plain |= {"gltf_short", "gltf_compress", "gltf_error", "gltf_ibl"}
     plain |= {"reflections", "visibility_order"}
     texture = {"size_by", "resolution", "texel_density", "shared_atlas", "padding_mip", "half"}
-    where = {"carrier", "image_folder", "pack_images", "bounces", "all_bounces"}
+    where = {"carrier", "image_folder", "pack_images", "engine_images", "bounces", "all_bounces"}
     assert kept == plain | exact | texture | where
 
 
