@@ -97,7 +97,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--points", type=int, nargs="+", default=[10_000, 100_000, 1_000_000])
     parser.add_argument("--triangles", type=int, default=10_000_000)
-    parser.add_argument("--rays", type=int, default=64)
+    parser.add_argument("--rays", type=int, default=256)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--no-fit", action="store_true", help="values at the vertices alone")
     parser.add_argument("--no-residual", action="store_true")
