@@ -105,6 +105,7 @@ def read_bake(prt: Any) -> FileBake:
     scale = np.ones(len(slots)) if prt.get("scale") == 1 else prt.get("scale")
     scale = _numbers(scale, (len(slots),), f"scale is neither 1 nor {len(slots)} numbers")
     matrix = _numbers(prt.get("matrix"), (9,), "matrix is not nine numbers")
+    _check(bool(matrix.any()), "matrix is all zeros")
     columns = tuple(slots.index(name) if name else -1 for name in layout.slots)
     turned = turn_matrix(matrix, Y_UP.T)
     offset = np.zeros(len(slots)) if texture is None else prt.get("offset")

@@ -27,6 +27,7 @@ export function readBake(prt, geometry, images = []) {
   check(prt.basis === BASIS, `basis "${prt.basis}" is not the one of version 1`);
   check(INCLUDES.includes(prt.includes), `"${prt.includes}" is not what a transfer of version 1 includes`);
   check(numbers(prt.matrix, 9), 'matrix is not nine numbers');
+  check(prt.matrix.some((value) => value !== 0), 'matrix is all zeros');
   const { layout } = prt, turns = prt.turns ?? (layout?.includes?.('R0r') ? 1 : 0);
   checkLayout(prt, turns);
   const scale = prt.scale === 1 ? layout.map(() => 1) : prt.scale;

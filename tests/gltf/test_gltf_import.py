@@ -265,6 +265,7 @@ MALFORMED = {
     'frame "local"': of_mesh(frame="local"),
     "matrix is not nine numbers": of_mesh(matrix=[1, 2]),
     "matrix is not nine": of_mesh(matrix=["a"] * 9),
+    "matrix is all zeros": of_mesh(matrix=[0] * 9),
     "scale is neither 1 nor 12 numbers": of_mesh(scale=[1, 2]),
     "layout is not four names": of_mesh(layout="T0T1"),
     "basis": of_mesh(basis="another"),

@@ -161,6 +161,7 @@ MALFORMED = {
     "2 channels": of_mesh(channels=2),
     'frame "local"': of_mesh(frame="local"),
     "matrix is not nine numbers": of_mesh(matrix=[1, 2]),
+    "matrix is all zeros": of_mesh(matrix=[0] * 9),
     "scale is neither 1 nor 12 numbers": of_mesh(scale=[1, 2]),
     "layout is not four names": of_mesh(layout=["T0"]),
     "layout has T9": of_mesh(layout=[*(f"T{i}" for i in range(10)), "R0r", "R0g"], turns=0),
