@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from prt_baker.addon.prt.atlas.unwrap import unwrap
 from prt_baker.addon.prt.job import Receiver, Settings
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface.points import Points, Surface, element_triangles
 from prt_baker.addon.prt.surface.samples import Places, random_places, starts
 from prt_baker.addon.prt.texture.cover import barycentric, cover
@@ -76,22 +77,13 @@ def snowden(size: int) -> Scene:
 
     scene = scenes.snowden()
     receiver = scene.centred.receivers[0]
-    uvs = finish(unwrap((receiver,), size=size, density=0, padding=4, threads=2)).uvs[0]
+    uvs = value_of(unwrap((receiver,), size=size, density=0, padding=4, threads=2)).uvs[0]
     everything = shapes.join((receiver.vertices, receiver.triangles), scene.others)
     views = (((0.6, -2.2, 1.5), (0.6, 0.5, 1.1)), ((2.4, -0.9, 1.7), (0.6, 0.5, 1.2)))
     return Scene(receiver, uvs, *everything, views)
 
 
 SCENES: dict[str, Callable[[int], Scene]] = {"room": room, "snowden": snowden}
-
-
-def finish(steps: Generator[Any, None, Any]) -> Any:
-    """What a generator returns."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
 
 
 class Bench:
@@ -101,7 +93,7 @@ class Bench:
         self.scene, self.size, receiver = scene, size, scene.receiver
         self.sky = occlusion(scene.vertices, scene.triangles)
         self.mesh = Mesh.of(receiver, scene.uvs, size)
-        self.index, self.on = finish(cover(self.mesh.layout, self.mesh.surface.solid))
+        self.index, self.on = value_of(cover(self.mesh.layout, self.mesh.surface.solid))
         self.edges = edges_of(receiver, self.mesh.surface, self.mesh.layout)
         at = random_places(Surface.of(receiver).areas, places, 1)
         found = starts(self.mesh.surface, element_triangles(receiver), receiver.normals, at)
@@ -118,13 +110,13 @@ class Bench:
         """Transfer (P, 9) at ``origins`` (P, 3)."""
         out = np.empty((len(origins), 9), np.float32)
         where = Points(origins, normals, np.empty(0, np.int32))
-        finish(trace_all(where, self.sky, Settings(rays=rays, seed=seed), out))
+        value_of(trace_all(where, self.sky, Settings(rays=rays, seed=seed), out))
         return out
 
     def solve(self, rays: int, tolerance: float) -> tuple[Texels, int]:
         """The bake, with ``rays`` or as many as the ``tolerance`` takes, and how many these are."""
         settings = Settings(rays=rays, tolerance=tolerance)
-        its = finish(effort(pilot_points(self.scene.receiver), self.sky, settings, Shortcuts()))
+        its = value_of(effort(pilot_points(self.scene.receiver), self.sky, settings, Shortcuts()))
 
         def trace(origins: Array, normals: Array, count: int) -> Generator[int, None, Array]:
             yield 0
@@ -136,7 +128,7 @@ class Bench:
         steps = solve(
             receiver, uvs, self.size, trace, self.sky, settings, rays=its.rays, noise=its.noise
         )
-        return finish(steps), its.rays
+        return value_of(steps), its.rays
 
     def every_texel(self, rays: int) -> Array:
         """An image of which every texel was traced, buried ones filled alike."""
@@ -153,7 +145,7 @@ class Bench:
         known = np.zeros(self.size**2, bool)
         flat[index], known[index] = values, True
         image = flat.reshape(self.size, self.size, -1)
-        finish(push_pull(image, known.reshape(self.size, self.size)))
+        value_of(push_pull(image, known.reshape(self.size, self.size)))
         return image
 
     def errors(self, image: Array) -> tuple[Array, float]:

@@ -59,7 +59,7 @@ class Meter:
             yield self.progress(phase)
 
     def alive(
-        self, phase: str, steps: Generator[None, None, Value]
+        self, phase: str, steps: Generator[object, None, Value]
     ) -> Generator[Progress, None, Value]:
         """Progress of ``steps`` that are none of the work; their value."""
         while True:

@@ -31,13 +31,7 @@ def reflections(
             image, its_sheet = known.arrays["image"], Sheet.of(known.report)
         else:
             steps = sheet.fill(world.rest, job.settings.threads)
-            while True:
-                try:
-                    next(steps)
-                except StopIteration as stop:
-                    its_sheet, values = stop.value
-                    break
-                yield meter.progress(PHASE)
+            its_sheet, values = yield from meter.alive(PHASE, steps)
             image = values.astype(np.float16)
             if key:
                 cache.put(key, {"image": image}, asdict(its_sheet))

@@ -9,21 +9,13 @@ from bakes import principled, quad, shader
 from prt_baker.addon import bake, light_state, materials, nodes, reflections, remove
 from prt_baker.addon.prt.job import Settings
 from prt_baker.addon.prt.specular import sheet
+from prt_baker.addon.prt.steps import value_of
 
 
 @pytest.fixture
 def scene(registered):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     return bpy.context.scene
-
-
-def run(steps):
-    """All of a job; its report."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
 
 
 def switched(material):
@@ -33,7 +25,7 @@ def switched(material):
 
 
 def baked(scene, names, **settings):
-    return run(bake.bake(scene.name, names, Settings(rays=16, fit=False, **settings)))
+    return value_of(bake.bake(scene.name, names, Settings(rays=16, fit=False, **settings)))
 
 
 @pytest.fixture
@@ -158,7 +150,7 @@ def test_update_light_cuts_the_baked_lamps_out_again(scene, sky):
     assert len(before.peaks) == 1
     sky.inputs["Rotation"].default_value[2] = radians(90)
     bpy.context.view_layer.update()
-    run(bake.update_light(scene.name))
+    value_of(bake.update_light(scene.name))
     after = reflections.of(reflections.current())
     assert after.peaks[0].direction == pytest.approx(before.peaks[0].direction, abs=1e-4)
     assert after.peaks[0].irradiance == pytest.approx(before.peaks[0].irradiance, rel=1e-3)

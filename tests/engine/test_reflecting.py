@@ -9,6 +9,7 @@ from prt_baker.addon.prt.results import read_results, write_results
 from prt_baker.addon.prt.run import run
 from prt_baker.addon.prt.specular import sheet
 from prt_baker.addon.prt.specular.sheet import PLAIN, Sheet
+from prt_baker.addon.prt.steps import value_of
 
 TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -29,11 +30,7 @@ def small(monkeypatch):
 
 def result_of(light, **settings):
     steps = run(Job("light", Settings(**settings), light))
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
+    return value_of(steps)
 
 
 def test_nothing_is_done_that_was_not_asked_for(picture):

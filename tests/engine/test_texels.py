@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import rooms
 import shapes
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface.points import Surface
 from prt_baker.addon.prt.texture import cover
 from prt_baker.addon.prt.texture.cover import Layout
@@ -11,14 +12,6 @@ from prt_baker.addon.prt.texture.edges import edges_of
 from prt_baker.addon.prt.texture.fill import push_pull
 from prt_baker.addon.prt.texture.places import INSIDE, Mesh
 from prt_baker.addon.prt.texture.sampling import bilinear, footprint
-
-
-def finish(steps):
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
 
 
 def some_triangles(size, count=40):
@@ -30,7 +23,7 @@ def some_triangles(size, count=40):
 
 
 def covered(layout):
-    return finish(cover.cover(layout, np.ones(len(layout.corners), bool)))
+    return value_of(cover.cover(layout, np.ones(len(layout.corners), bool)))
 
 
 def test_no_read_leaves_the_texels():
@@ -68,7 +61,7 @@ def test_the_same_texels_in_chunks_of_any_size(monkeypatch):
 def test_places_lie_inside_of_their_triangles():
     receiver, uvs, *_ = rooms.torus()
     mesh = Mesh.of(receiver, uvs, 64)
-    index, triangles = finish(cover.cover(mesh.layout, mesh.surface.solid))
+    index, triangles = value_of(cover.cover(mesh.layout, mesh.surface.solid))
     places = mesh.places(index, triangles, np.zeros(2))
     assert places.barycentric.min() > 0
     assert places.barycentric.sum(axis=1) == pytest.approx(1)
@@ -97,7 +90,7 @@ def test_the_rest_is_filled_from_what_is_known(size):
     image = random.uniform(1, 2, (size, size, 6)).astype(np.float32)
     before = image.copy()
     image[~known] = np.nan
-    finish(push_pull(image, known))
+    value_of(push_pull(image, known))
     np.testing.assert_array_equal(image[known], before[known])
     low, high = before[known].min(axis=0), before[known].max(axis=0)
     assert ((image >= low - 1e-5) & (image <= high + 1e-5)).all()
@@ -108,7 +101,7 @@ def test_no_mip_reads_what_is_not_known():
     known[5:9, 7:40], known[30:60, 50:60] = True, True
     image = np.full((64, 64, 2), 1e9, np.float32)
     image[known] = 3.0
-    finish(push_pull(image, known))
+    value_of(push_pull(image, known))
     while len(image) > 1:
         image = image.reshape(len(image) // 2, 2, len(image) // 2, 2, 2).mean(axis=(1, 3))
         np.testing.assert_allclose(image, 3, rtol=1e-6)
@@ -116,7 +109,7 @@ def test_no_mip_reads_what_is_not_known():
 
 def test_where_nothing_is_known_all_is_black():
     image = np.full((8, 8, 3), 7, np.float32)
-    finish(push_pull(image, np.zeros((8, 8), bool)))
+    value_of(push_pull(image, np.zeros((8, 8), bool)))
     assert not image.any()
 
 

@@ -7,6 +7,7 @@ import pytest
 import rooms
 import shapes
 from prt_baker.addon.prt.job import Settings
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface.points import Points, Surface, element_triangles
 from prt_baker.addon.prt.surface.samples import random_places, starts
 from prt_baker.addon.prt.texture import cover, refine, solver
@@ -19,14 +20,6 @@ from prt_baker.addon.prt.tracing.buried import buried
 from prt_baker.addon.prt.vertex import traced
 
 
-def finish(steps):
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
-
-
 class Bench:
     """A receiver in an atlas, the truth at random places of its surface, and its bake."""
 
@@ -34,13 +27,15 @@ class Bench:
         self.receiver, self.uvs, self.size = receiver, uvs, size
         self.sky = rays.occlusion(vertices, triangles)
         self.mesh = Mesh.of(receiver, uvs, size)
-        self.index, self.triangles = finish(cover.cover(self.mesh.layout, self.mesh.surface.solid))
+        self.index, self.triangles = value_of(
+            cover.cover(self.mesh.layout, self.mesh.surface.solid)
+        )
 
     def found(self, origins, normals, count, seed=0, threads=2):
         values = np.empty((len(origins), 9), np.float32)
         where = Points(np.asarray(origins, np.float32), np.asarray(normals, np.float32), None)
         settings = Settings(rays=count, seed=seed, threads=threads)
-        finish(transfer.trace_all(where, self.sky, settings, values))
+        value_of(transfer.trace_all(where, self.sky, settings, values))
         return values
 
     def truth(self, count=1500, rays=8192):
@@ -69,7 +64,7 @@ class Bench:
             yield len(origins) * rays
             return values
 
-        return finish(
+        return value_of(
             solver.solve(
                 self.receiver, self.uvs, self.size, trace, self.sky, Settings(**settings),
                 rays=count, noise=noise, light=light,
@@ -185,12 +180,12 @@ def test_a_stitch_changes_only_what_jumps():
     samples = seam_and_flat_atlas()
     assert len(samples.rows) == 11
     same = np.full((64, 2), 3, np.float32)
-    finish(stitch(same, samples, no_border(), np.zeros(64)))
+    value_of(stitch(same, samples, no_border(), np.zeros(64)))
     np.testing.assert_allclose(same, 3, rtol=1e-6)
     row, column = np.mgrid[:8, :8]
     apart = np.where(row >= 4, column, row).astype(np.float32).reshape(64, 1)
     before = apart.copy()
-    finish(stitch(apart, samples, no_border(), np.zeros(64)))
+    value_of(stitch(apart, samples, no_border(), np.zeros(64)))
     assert np.abs(samples.read(apart)).max() < 0.2 * np.abs(samples.read(before)).max()
     read = np.isin(np.arange(64), samples.rows[np.abs(samples.weights) > 0])
     np.testing.assert_array_equal(apart[~read], before[~read])
@@ -202,7 +197,7 @@ def test_texels_outside_give_way_to_those_inside():
     outside = np.where((row == 5) | (column == 4), 0.8, 0).reshape(64)
     apart = np.where(row >= 4, column, row).astype(np.float32).reshape(64, 1)
     before = apart.copy()
-    finish(stitch(apart, samples, no_border(), outside))
+    value_of(stitch(apart, samples, no_border(), outside))
     change = np.abs(apart - before)[:, 0]
     assert change[outside > 0].max() > 4 * change[outside == 0].max()
 

@@ -8,6 +8,7 @@ from prt_baker.addon.prt.atlas import uv_map
 from prt_baker.addon.prt.atlas.plane import plane_areas
 from prt_baker.addon.prt.atlas.unwrap import unwrap
 from prt_baker.addon.prt.job import Receiver
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface.points import Surface
 
 
@@ -15,15 +16,6 @@ def unwrapped(*receivers, size=256, density=0.0, padding=2, threads=2):
     """The value of ``unwrap``."""
     steps = unwrap(receivers, size=size, density=density, padding=padding, threads=threads)
     return value_of(steps)
-
-
-def value_of(steps):
-    """The value of a generator, run to its end."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
 
 
 def of_quads(vertices, triangles, normals=None, name="quads"):
