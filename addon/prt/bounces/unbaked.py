@@ -79,18 +79,22 @@ class Unbaked:
         """As ``_points``, where a cell's middle lies inside of something from another place in it
         that does not: beside a thin wall it would be dark."""
         found = self._points(entries)
-        hidden = np.arange(len(entries))
-        for towards in (None, 0, 1, 2):
-            its = self._points(entries[hidden], towards)
-            dark = np.zeros((len(hidden), 1), np.float32)
-            is_in = buried(its.origins, its.normals, dark, self._occlusion)
-            self.looks += rays_for(dark)
-            out = hidden[~is_in]
-            found.origins[out], found.normals[out] = its.origins[~is_in], its.normals[~is_in]
-            hidden = hidden[is_in]
+        hidden = np.flatnonzero(self._are_inside(found))
+        for corner in range(3):
             if not len(hidden):
                 break
+            its = self._points(entries[hidden], corner)
+            inside = self._are_inside(its)
+            seen = hidden[~inside]
+            found.origins[seen], found.normals[seen] = its.origins[~inside], its.normals[~inside]
+            hidden = hidden[inside]
         return found
+
+    def _are_inside(self, places: Points) -> npt.NDArray[np.bool_]:
+        """Which of ``places`` lie inside of other things."""
+        dark = np.zeros((len(places.origins), 1), np.float32)
+        self.looks += rays_for(dark)
+        return buried(places.origins, places.normals, dark, self._occlusion)
 
     def _points(self, entries: Index, towards: int | None = None) -> Points:
         """Where the rays of ``entries`` (E,) start, in float32, with geometric normals."""
