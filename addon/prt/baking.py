@@ -70,13 +70,15 @@ class Scene:
             job = self.job
             return occlusion(job.occluder_vertices, job.occluder_triangles, self._rays())
 
-    @property
+    @cached_property
     def channels(self) -> int:
         """Of the transfer: three where colours bounce."""
         return channels_of(np.asarray(self.job.occluder_albedo)) if self.job.bounces else 1
 
     def only(self, indices: Sequence[int]) -> "Scene":
         """The same for some of the receivers; the others are mere occluders."""
+        if len(indices) == len(self.job.receivers):
+            return self
         receivers = tuple(self.job.receivers[i] for i in indices)
         job = replace(self.job, receivers=receivers)
         return Scene(job, self.world, self.cache, self.meter, whole=self)
