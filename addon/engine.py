@@ -152,11 +152,11 @@ def _watch(process: subprocess.Popen[bytes], folder: Path) -> Iterator[jobs.Prog
             if "fault" in line:
                 raise RuntimeError(f"The engine failed\n{line['fault']}")
             latest = jobs.Progress(**line)
-        if code == 0:
-            return
-        if code is not None:
+        if code:
             raise _ended(code, folder)
         yield latest
+        if code == 0:
+            return
 
 
 def _ended(code: int, folder: Path) -> Exception:

@@ -6,6 +6,7 @@ Writes ``progress.jsonl`` and, when all is done, ``results``.  Exit codes: 0 don
 """
 
 import json
+import os
 import sys
 import time
 import traceback
@@ -89,4 +90,6 @@ def _write(progress: TextIO, line: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    code = main(Path(sys.argv[1]))
+    sys.stderr.flush()
+    os._exit(code)  # all is written; taking Embree's structure apart would only take time

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from .points import Float, Index, Surface, lift, morton_order, surface_bias
 
 EDGE = 0.02  # of a triangle's height: no sample lies nearer to an edge
+CANDIDATES = 64  # triangles for a place: enough for places as even as among all
 PLASTIC = 1.32471795724474602596  # Roberts' R2 sequence: its powers spread pairs evenly
 
 
@@ -40,10 +41,15 @@ def stratified_places(
 ) -> Places:
     """``count`` places in the triangles ``chosen`` (C,), as many in each as its ``density`` (C,)
     says: one in each of ``count`` equal parts of it along a Z curve, and none near an edge."""
+    rng = np.random.default_rng([seed, count])
+    if CANDIDATES * count < len(chosen):  # a curve through all of them would not pay
+        share = np.cumsum(density)
+        some = np.searchsorted(share, rng.random(CANDIDATES * count) * share[-1])
+        chosen, density = chosen[some], np.ones(len(some))
     along = morton_order(surface.corners[chosen].mean(axis=1))
     order, share = chosen[along], np.cumsum(density[along])
     i = np.arange(count)
-    within = np.random.default_rng([seed, count]).random(count)
+    within = rng.random(count)
     found = np.searchsorted(share, (i + within) / count * share[-1], side="right")
     triangles = order[np.minimum(found, len(order) - 1)]
     spread = [(0.5 + i * PLASTIC**-power) % 1 for power in (1, 2)]

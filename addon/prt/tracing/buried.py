@@ -61,6 +61,8 @@ def _dark(transfer: npt.NDArray[Any]) -> Mask:
 def fill(points: Points, receiver: Receiver, transfer: Array, hidden: Mask) -> tuple[Index, Index]:
     """Give ``hidden`` points that share a triangle with sound ones the darkest one's ``transfer``
     (P, n²); which points (B,) got it from which (B,)."""
+    if not hidden.any():
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
     corners = points.element_points[element_triangles(receiver)]
     corners = corners[(corners >= 0).all(axis=1) & hidden[corners].any(axis=1)]
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])

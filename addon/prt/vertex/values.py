@@ -1,6 +1,7 @@
 """Values of points from what was traced, with and without a fit, and how wrong they are."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -34,10 +35,14 @@ class Values:
         self, points: Points, parts: Parts, fitted: Mask, settings: Settings, noise: float
     ) -> None:
         self._parts, self._noise, self.fitted = parts, noise, fitted
-        self._order, self.threads = settings.order, settings.threads
-        self._open = sh.open_transfer(points.normals, self._order).astype(np.float32)
+        self._order, self.threads, self._points = settings.order, settings.threads, points
         self._fit_errors = Errors(*np.zeros((3, parts.count)))
         self.weights: Float = np.ones(parts.count)
+
+    @cached_property
+    def _open(self) -> Array:
+        """An open sky's transfer of the points (P, n²)."""
+        return sh.open_transfer(self._points.normals, self._order).astype(np.float32)
 
     def values(self, traced: Traced, unseen: Mask) -> tuple[Array, Mask]:
         """Values (P, K), and the points that are buried, with values of 0."""
