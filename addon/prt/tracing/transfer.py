@@ -7,7 +7,7 @@ radiance of a white surface, so 1/pi is inside and the surface's albedo is not.
 import threading
 from collections import Counter
 from collections.abc import Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -20,7 +20,7 @@ from ..surface.points import Points
 from .confirm import confirmed, doubtful
 from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
 from .horizon import Horizon
-from .open_rays import OpenRays, turns
+from .open_rays import Alike, OpenRays, turns
 from .rays import Mask, Occlusion
 from .visibility import VisibilitySet
 
@@ -100,18 +100,14 @@ class Shortcuts:
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """Some groups of points: ``rows`` of their part, of which the first ``count`` are points, with
-    ``numbers``, ``origins`` and the ``matrices`` of their frames; how many of their first
-    directions are open, and what else is ``known`` of them."""
+class _Few:
+    """Points whose rays are cast together: their ``numbers`` and ``origins``, the ``matrices`` of
+    their frames, and which of their rays are known to be ``open``."""
 
-    rows: Index
-    count: int
     numbers: Index
     origins: Array
     matrices: Array
-    skipped: int
-    known: OpenRays
+    open: Alike
 
 
 class Tracer:
@@ -144,6 +140,7 @@ class Tracer:
         self._turn = Turn(settings.order)
         self._seen_sh = VisibilitySet(settings.rays, visibility_order) if visibility_order else None
         self._shortcuts, self._gather = shortcuts, gather
+        self._open = OpenRays(shortcuts.horizon, points, settings.rays)
         first = np.zeros(self.rays, bool)
         first[:: max(1, shortcuts.pilot)] = True
         self._first = first
@@ -151,66 +148,66 @@ class Tracer:
         self._others_in_world = RaysInWorld(hemisphere.directions[~first])
         self._buffers = threading.local()
 
-    def parts(self) -> Iterator[slice]:
-        """Slices of the points, each of some groups."""
+    def pieces(self) -> list[slice]:
+        """What is to be looked at before the parts are known."""
+        return self._open.pieces()
+
+    def look(self, piece: slice) -> None:
+        """Look at one of the pieces."""
+        self._open.find(piece)
+
+    def parts(self) -> Iterator[Alike]:
+        """Some groups of points each, neighbours where they can be."""
         count = len(self.points.origins)
         rays = int(np.clip(count * self.rays // PARTS, *PART_RAYS))
-        size = GROUP * max(4, min(128, rays // (GROUP * self.rays)))
-        return (slice(i, min(i + size, count)) for i in range(0, count, size))
+        size = max(4, min(128, rays // (GROUP * self.rays)))
+        for alike in self._open.alike():
+            for start in range(0, len(alike.groups), size):
+                yield replace(alike, groups=alike.groups[start : start + size])
 
-    def trace(self, part: slice, out: Array) -> Counts:
+    def trace(self, part: Alike, out: Array) -> Counts:
         """Transfer, what is gathered, and visibility of the points of ``part`` into ``out``; the
         rays."""
-        count, transfer = part.stop - part.start, self._weights.shape[1]
-        local = frames(self.points.normals[part], self._azimuth[part])
-        matrices = local.matrices()
+        groups, transfer = len(part.groups), self._weights.shape[1]
+        numbers = (part.groups[:, None] * GROUP + np.arange(GROUP)).reshape(-1)
+        numbers = numbers[numbers < len(self.points.origins)]  # the last group may not be full
+        local = frames(self.points.normals[numbers], self._azimuth[numbers])
+        matrices, origins = local.matrices(), self.points.origins[numbers]
         columns = transfer + (self._seen_sh.columns if self._seen_sh else 0)
-        sums = np.empty((-(-count // GROUP) * GROUP, columns), np.float32)
+        sums = np.empty((groups * GROUP, columns), np.float32)
         counts: Counts = Counter()
-        known = OpenRays(self._shortcuts.horizon, self.points, part, self.rays)
-        for first, rows in self._batches(known):
-            numbers = part.start + rows[rows < count]
-            origins, frames_of = self.points.origins[numbers], matrices[numbers - part.start]
-            batch = _Rows(rows, len(numbers), numbers, origins, frames_of, first, known)
-            counts += self._trace_batch(batch, sums, out)
-        out[part, :transfer] = self._turn(local, sums[:count, :transfer])
+        size = max(1, BATCH_RAYS // (GROUP * max(1, self.rays - part.first)))
+        size = GROUP * min(size, 16 * max(1, BATCH_RAYS // (GROUP * self.rays)))
+        for start in range(0, len(numbers), size):
+            few = slice(start, start + size)
+            batch = _Few(numbers[few], origins[few], matrices[few], part)
+            counts += self._trace_batch(batch, sums[few], out)
+        out[numbers, :transfer] = self._turn(local, sums[: len(numbers), :transfer])
         if self._seen_sh is not None:
-            seen = self._seen_sh.in_world(local, sums[:count, transfer:])
-            out[part, out.shape[1] - self._seen_sh.columns :] = seen
+            seen = self._seen_sh.in_world(local, sums[: len(numbers), transfer:])
+            out[numbers, out.shape[1] - self._seen_sh.columns :] = seen
         return counts
 
-    def _batches(self, known: OpenRays) -> Iterator[tuple[int, Index]]:
-        """Rows of the part, whole groups, whose first rays, as many as said, need no tracing."""
-        keys = known.keys()
-        for key in np.unique(keys):
-            groups = np.flatnonzero(keys == key)
-            first = int(known.firsts[groups[0]])
-            size = max(1, BATCH_RAYS // (GROUP * max(1, self.rays - first)))
-            size = min(size, 16 * max(1, BATCH_RAYS // (GROUP * self.rays)))
-            for start in range(0, len(groups), size):
-                some = groups[start : start + size]
-                yield first, (some[:, None] * GROUP + np.arange(GROUP)).reshape(-1)
-
-    def _trace_batch(self, batch: _Rows, sums: Array, out: Array) -> Counts:
-        """Local coefficients of a batch into ``sums``, of its transfer and of its visibility; what
-        is gathered into ``out``."""
-        visible = self._array("visible", (len(batch.rows), self.rays))
-        visible[batch.count :] = 0
-        counts = self._see(batch, visible[: batch.count])
+    def _trace_batch(self, batch: _Few, sums: Array, out: Array) -> Counts:
+        """Local coefficients of whole groups into ``sums``, of their transfer and of their
+        visibility; what is gathered into ``out``."""
+        visible, count = self._array("visible", (len(sums), self.rays)), len(batch.numbers)
+        visible[count:] = 0
+        counts = self._see(batch, visible[:count])
         products = visible.reshape(-1, GROUP, self.rays) @ self._weights
         first = self._weights.shape[1]
-        sums[batch.rows, :first] = products.reshape(len(batch.rows), first)
+        sums[:, :first] = products.reshape(len(sums), first)
         if self._seen_sh is not None:
-            sums[batch.rows, first:] = self._seen_sh.sums(visible)
+            sums[:, first:] = self._seen_sh.sums(visible)
         if self._gather is not None:
-            values, more = self._gather(self._seen(batch, visible), self._occlusion)
+            values, more = self._gather(self._seen(batch, visible[:count]), self._occlusion)
             out[batch.numbers, first : first + values.shape[1]] = values
             counts += more
         return counts
 
-    def _seen(self, batch: _Rows, visible: Array) -> Batch:
+    def _seen(self, batch: _Few, visible: Array) -> Batch:
         """What a Gather is told."""
-        directions = self._array("gathered", (batch.count * self.rays, 3))
+        directions, first = self._array("gathered", (visible.size, 3)), batch.open.first
         self._in_world.directions(batch.matrices, directions)
         return Batch(
             batch.numbers,
@@ -218,21 +215,21 @@ class Tracer:
             self.points.normals[batch.numbers],
             directions.reshape(-1, self.rays, 3),
             self._cosines,
-            visible[: batch.count],
-            float(np.sqrt(1 - batch.skipped / self.rays)) if batch.skipped else 2.0,
-            doubtful(visible[: batch.count], self._occlusion),
+            visible,
+            float(np.sqrt(1 - first / self.rays)) if first else 2.0,
+            doubtful(visible, self._occlusion),
         )
 
-    def _see(self, batch: _Rows, visible: Array) -> Counts:
+    def _see(self, batch: _Few, visible: Array) -> Counts:
         """Fill in which rays of the points reach the sky, 1 or 0; the rays cast and skipped."""
-        bits, count = self._shortcuts.bits, batch.count
+        bits, first = self._shortcuts.bits, batch.open.first
         if bits is not None and self._shortcuts.known:
             visible[:] = np.unpackbits(bits[batch.numbers], axis=1, count=self.rays)
-            return Counter({KNOWN: count * self.rays})
-        if batch.skipped or self._shortcuts.pilot < 2:
-            visible[:, : batch.skipped] = 1
-            cast = self._see_others(batch, visible[:, batch.skipped :])
-            counts = Counter({CAST: cast, NOTHING_ABOVE: count * self.rays - cast})
+            return Counter({KNOWN: visible.size})
+        if first or self._shortcuts.pilot < 2:
+            visible[:, :first] = 1
+            cast = self._see_others(batch, visible[:, first:])
+            counts = Counter({CAST: cast, NOTHING_ABOVE: visible.size - cast})
         else:
             counts = self._see_first(batch, visible)
         counts[CAST] += self._confirm(batch, visible)
@@ -240,19 +237,19 @@ class Tracer:
             bits[batch.numbers] = np.packbits(visible != 0, axis=1)
         return counts
 
-    def _see_others(self, batch: _Rows, visible: Array) -> int:
-        """Those after the first that need no tracing, ``visible`` (P, N - skipped); rays cast."""
-        first = batch.skipped
+    def _see_others(self, batch: _Few, visible: Array) -> int:
+        """Those after the first that need no tracing, ``visible`` (P, N - first); rays cast."""
+        first = batch.open.first
         if first == self.rays:
             return 0
         looked_at = self._shortcuts.look is not None
-        if looked_at or not batch.known.pays(int(batch.rows[0]) // GROUP):
+        if looked_at or not batch.open.pays:
             visible[:] = self._sky(
                 self._in_world, batch.origins, batch.matrices, first, batch.numbers
             )
             return visible.size
         azimuth = self._azimuth_turns[batch.numbers]
-        is_open = batch.known.mask(batch.rows[: batch.count], self._direction_turns, azimuth, first)
+        is_open = self._open.mask(batch.numbers, self._direction_turns, azimuth, first)
         visible[:] = is_open
         rest = np.flatnonzero(~is_open)
         point = rest // is_open.shape[1]
@@ -262,7 +259,7 @@ class Tracer:
         visible[np.unravel_index(rest, visible.shape)] = -mask
         return len(rest)
 
-    def _see_first(self, batch: _Rows, visible: Array) -> Counts:
+    def _see_first(self, batch: _Few, visible: Array) -> Counts:
         """The first rays, and the others of the points where one of them is clear."""
         visible[:, ~self._first] = 0
         clear = self._sky(self._first_in_world, batch.origins, batch.matrices)
@@ -270,10 +267,10 @@ class Tracer:
         alive = np.flatnonzero(clear.any(axis=1))
         others = self._sky(self._others_in_world, batch.origins[alive], batch.matrices[alive])
         visible[np.ix_(alive, ~self._first)] = others
-        stopped = (batch.count - len(alive)) * int((~self._first).sum())
+        stopped = (len(batch.numbers) - len(alive)) * int((~self._first).sum())
         return Counter({CAST: clear.size + others.size, SEES_NOTHING: stopped})
 
-    def _confirm(self, batch: _Rows, visible: Array) -> int:
+    def _confirm(self, batch: _Few, visible: Array) -> int:
         """Cast the clear rays again where a single one would show; how many."""
         points = np.flatnonzero(doubtful(visible, self._occlusion))
         if not len(points):
@@ -340,9 +337,9 @@ def trace_all(
     counts: Counts = Counter()
     pool = workers(settings.threads)
     try:
-        pending: set[Future[Counts]] = {
-            pool.submit(tracer.trace, part, out) for part in tracer.parts()
-        }
+        for _ in pool.map(tracer.look, tracer.pieces()):
+            yield 0
+        pending = {pool.submit(tracer.trace, part, out) for part in tracer.parts()}
         while pending:
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
             for future in done:
