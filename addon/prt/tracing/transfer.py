@@ -141,9 +141,7 @@ class Tracer:
         self._seen_sh = VisibilitySet(settings.rays, visibility_order) if visibility_order else None
         self._shortcuts, self._gather = shortcuts, gather
         self._open = OpenRays(shortcuts.horizon, points, settings.rays)
-        first = np.zeros(self.rays, bool)
-        first[:: max(1, shortcuts.pilot)] = True
-        self._first = first
+        first = np.arange(self.rays) % max(1, shortcuts.pilot) == 0
         self._first_in_world = RaysInWorld(hemisphere.directions[first])
         self._others_in_world = RaysInWorld(hemisphere.directions[~first])
         self._buffers = threading.local()
@@ -261,13 +259,16 @@ class Tracer:
 
     def _see_first(self, batch: _Few, visible: Array) -> Counts:
         """The first rays, and the others of the points where one of them is clear."""
-        visible[:, ~self._first] = 0
+        step = self._shortcuts.pilot
         clear = self._sky(self._first_in_world, batch.origins, batch.matrices)
-        visible[:, self._first] = clear
-        alive = np.flatnonzero(clear.any(axis=1))
+        visible[:, ::step] = clear
+        is_alive = clear.any(axis=1)
+        alive = np.flatnonzero(is_alive)
         others = self._sky(self._others_in_world, batch.origins[alive], batch.matrices[alive])
-        visible[np.ix_(alive, ~self._first)] = others
-        stopped = (len(batch.numbers) - len(alive)) * int((~self._first).sum())
+        visible[~is_alive] = 0
+        for k in range(1, step):
+            visible[alive, k::step] = others[:, k - 1 :: step - 1]
+        stopped = (len(batch.numbers) - len(alive)) * others.shape[1]
         return Counter({CAST: clear.size + others.size, SEES_NOTHING: stopped})
 
     def _confirm(self, batch: _Few, visible: Array) -> int:
