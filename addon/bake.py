@@ -140,10 +140,10 @@ def update_light(scene_name: str) -> Steps:
     """Read the world anew, whatever it is, and show its light on what is baked."""
     with engine.job_folder() as folder:
         yield jobs.Progress("light", 0.0)
-        depsgraph = bpy.context.evaluated_depsgraph_get()
-        light = world.read(bpy.data.scenes[scene_name], depsgraph, folder)
-        before = light_state.read(bpy.data.scenes[scene_name])
-        job = jobs.Job("light", live_reflections.settings(before), light.source)
+        depsgraph, owner = bpy.context.evaluated_depsgraph_get(), bpy.data.scenes[scene_name]
+        light = world.read(owner, depsgraph, folder)
+        settings = live_reflections.settings(light_state.read(owner))
+        job = jobs.Job("light", settings, light.source)
         results = yield from engine.run(job, folder)
         with reflections.loaded(results.reflections, light.image_key) as reflected:
             writeback.reflect(reflected)

@@ -22,12 +22,11 @@ FORMER = "prt_former_reflections"
 @dataclass(frozen=True)
 class Known:
     """What an image says of itself: where things are, which peaks are left out of it, in the
-    picture's own frame and for a strength of 1, and the ``key`` of that picture, None in files of
-    older versions."""
+    picture's own frame and for a strength of 1, and the ``key`` of that picture."""
 
     sheet: Sheet
     peaks: tuple[Peak, ...]
-    key: str | None = None
+    key: str
 
     def is_read_like(self, other: "Known") -> bool:
         """Whether the same nodes read both."""
@@ -48,7 +47,7 @@ def of(image: bpy.types.Image) -> Known:
     """What ``image`` says of itself."""
     found: dict[str, Any] = json.loads(image[TAG])
     peaks = tuple(Peak.of(peak) for peak in found["peaks"])
-    return Known(Sheet.of(found["sheet"]), peaks, found.get("key"))
+    return Known(Sheet.of(found["sheet"]), peaks, found["key"])
 
 
 @contextmanager
