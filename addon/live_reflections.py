@@ -140,9 +140,9 @@ def _relight(scene_name: str) -> None:
 
 
 def _is_reflected(key: str) -> bool:
-    """Whether nothing is reflected, or the picture ``key``, or one that does not say."""
+    """Whether nothing is reflected, or the picture ``key``."""
     image = reflections.current()
-    return image is None or reflections.of(image).key in (None, key)
+    return image is None or reflections.of(image).key == key
 
 
 def _tick() -> float | None:

@@ -1,7 +1,5 @@
 """Another HDRI lights at once and is reflected a little later; renders wait for it."""
 
-import json
-
 import bpy
 import numpy as np
 import pytest
@@ -152,15 +150,6 @@ def test_a_picture_that_cannot_be_filtered_is_tried_once(scene, texture, window,
         live_reflections.finish()
     assert len(calls) == 1
     np.testing.assert_array_equal(reflected_up(), before)
-
-
-def test_an_image_that_does_not_say_its_picture_is_left(scene, texture, window):
-    image = reflections.current()
-    values = json.loads(image[reflections.TAG])
-    del values["key"]
-    image[reflections.TAG] = json.dumps(values)
-    assert not live_light.refresh(scene, bpy.context.evaluated_depsgraph_get())
-    assert not live_reflections._at_work
 
 
 def test_nothing_is_asked_for_where_nothing_reflects(scene):
