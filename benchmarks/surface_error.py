@@ -17,7 +17,7 @@ from prt_baker.addon.prt.job import Receiver, Settings
 from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface.points import Points, Surface, distinct_points, element_triangles
 from prt_baker.addon.prt.surface.samples import random_places, starts
-from prt_baker.addon.prt.tracing import transfer
+from prt_baker.addon.prt.tracing import tolerance, transfer
 from prt_baker.addon.prt.tracing.buried import buried
 from prt_baker.addon.prt.tracing.rays import occlusion
 from prt_baker.addon.prt.vertex.solver import Solved, solve
@@ -112,7 +112,7 @@ class Bench:
         some = slice(0, None, max(1, len(self.points.origins) // 1024))
         origins, normals = self.points.origins[some], self.points.normals[some]
         few, many = (self.trace(origins, normals, n, n) for n in (rays // 4, rays))
-        return transfer.ERROR_OF_DIFFERENCE * transfer.relative_rms(few, many)
+        return tolerance.ERROR_OF_DIFFERENCE * transfer.relative_rms(few, many)
 
     def solve(self, rays: int, fit: bool, noise: float) -> tuple[Solved, int]:
         """The values of the points, and the rays that they took."""

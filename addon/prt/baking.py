@@ -21,11 +21,11 @@ from .light.world import World
 from .meter import Meter
 from .results import RESULT_ARRAYS, ReceiverResult
 from .surface.points import Points, distinct_points
-from .tape import Remembered, Tape
+from .tape import PlaceTape, Remembered, Tape
 from .tracing.rays import Geometry, occlusion
 from .tracing.surroundings import Surroundings
-from .tracing.tolerance import FALL, Effort, effort
-from .tracing.transfer import CAST, MAP_RAYS, Counts, Look, Shortcuts, estimate_error, trace_all
+from .tracing.tolerance import FALL, Effort, effort, estimate_error
+from .tracing.transfer import CAST, MAP_RAYS, Counts, Look, Shortcuts, trace_all
 from .vertex.solver import Solved, pilot_error, solve
 from .vertex.traced import Found
 
@@ -156,8 +156,9 @@ def bake(scene: Scene, index: int) -> Generator[Progress, None, Baked]:
 
 class Bake(ABC, Generic[What]):
     """The bake of one receiver at about so many ``expected`` places, by default its points, without
-    bounces.  Where its tape is known only the map's own rays are traced.  What the rays meet is in
-    ``met`` where a ``keeper`` is to keep it, for the places that were traced, one after the other.
+    bounces.  Of places that its tape knows only the map's own rays are traced.  What the rays meet
+    is in ``met`` where a ``keeper`` is to keep it, for the places that were traced, one after the
+    other.
     """
 
     def __init__(
@@ -165,7 +166,7 @@ class Bake(ABC, Generic[What]):
         scene: Scene,
         index: int,
         points: Points,
-        tape: Tape,
+        tape: Tape | PlaceTape,
         keeper: Keeper | None = None,
         *,
         expected: int | None = None,
@@ -183,10 +184,10 @@ class Bake(ABC, Generic[What]):
             horizon = scene.surroundings.horizon(
                 self._receiver, points, self._expected, self._settings.rays
             )
-        self._shortcuts = Shortcuts(horizon, known=tape.known)
+        self._shortcuts = Shortcuts(horizon)
         self._effort = Effort(self._settings.rays)
         self._pilots = points
-        self._error, self._backs = 0.0, 0
+        self._error = 0.0
 
     def solve(self) -> Generator[Progress, None, What]:
         """Trace and solve."""
@@ -203,14 +204,11 @@ class Bake(ABC, Generic[What]):
         expected = self._expected * (self._effort.rays + self._map_rays())
         with meter.phase("transfer"):
             found = self._found()
-            before = self._counts[CAST]
             solved = yield from meter.follow("transfer", found, self._expected, expected)
-            seen = self._counts[CAST] - before + self._counts[MAP_RAYS]
-            self._backs = 0 if tape.known else int(solved.entry["rays"]) - seen
         if not tape.known:
             with meter.phase("estimate"):
                 self._estimate(solved)
-            tape.save({"effort": asdict(self._effort), "error": self._error})
+        tape.save({"effort": asdict(self._effort), "error": self._error})
         return solved
 
     @abstractmethod
@@ -225,14 +223,20 @@ class Bake(ABC, Generic[What]):
         """About how many rays a point traces towards the map's light."""
         return self._scene.world.turns * self._settings.map_rays / 2
 
-    def _trace(self, origins: Array, normals: Array, rays: int) -> Generator[int, None, Array]:
+    def _trace(
+        self,
+        origins: Array,
+        normals: Array,
+        rays: int,
+        azimuth: npt.NDArray[np.float64] | None = None,
+    ) -> Generator[int, None, Array]:
         """Transfer, residuals, peaks and visibility (M, n² + 3 turns + peaks + v²) at ``origins``
-        (M, 3)."""
+        (M, 3), whose rays are turned by ``azimuth`` (M,) or, without it, at random."""
         world, coefficients = self._scene.world.exact, self._settings.order**2
         gather, visibility_order = world.gather if world else None, self._settings.visibility_order
         columns = coefficients + (gather.columns if gather else 0) + visibility_order**2
         values = np.empty((len(origins), columns), np.float32)
-        bits = self._tape.visibility(len(origins), rays)
+        bits, known = self._tape.visibility(origins, normals, rays)
         places = Points(origins, normals, np.empty(0, np.int32))
         recorder = self._keeper.recorder() if self._keeper and not self._tape.known else None
         self._counts += yield from trace_all(
@@ -240,9 +244,10 @@ class Bake(ABC, Generic[What]):
             self._occlusion,
             replace(self._settings, rays=rays),
             values,
-            shortcuts=replace(self._shortcuts, bits=bits, look=self._look or recorder),
+            shortcuts=replace(self._shortcuts, bits=bits, known=known, look=self._look or recorder),
             gather=gather,
             visibility_order=visibility_order,
+            azimuth=azimuth,
         )
         self._keep(places, rays, recorder)
         if world is not None:
@@ -251,7 +256,7 @@ class Bake(ABC, Generic[What]):
 
     def _keep(self, places: Points, rays: int, recorder: Recorder | None) -> None:
         """Keep what the rays of ``places`` met, or what they did when the tape was recorded."""
-        if self._keeper is not None:
+        if self._keeper is not None and isinstance(self._tape, Tape):
             settings = replace(self._settings, rays=rays)
             again = retrace(places, self._occlusion, settings, self._shortcuts)
             count = len(places.origins)
@@ -293,7 +298,7 @@ class Bake(ABC, Generic[What]):
         repeated = int((self._points.element_points >= 0).sum()) - count
         names = {CAST, MAP_RAYS}
         skipped = {name: rays for name, rays in self._counts.items() if name not in names and rays}
-        cast = self._counts[CAST] + self._counts[MAP_RAYS] + self._backs
+        cast = self._counts[CAST] + self._counts[MAP_RAYS] + self._occlusion.asked
         spent = {k: v - self._before.get(k, 0.0) for k, v in meter.seconds.items()}
         return {
             "name": self._receiver.name,

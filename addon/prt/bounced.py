@@ -208,9 +208,9 @@ class Bounces:
         gather = world.gather if world else None
         columns = self._coefficients + (gather.columns if gather else 0)
         values = np.empty((len(places.origins), columns), np.float32)
-        settings, known = replace(self._settings, rays=rays), self._tape.known
-        recorder = self._keeper.recorder() if look and not known else None
-        bits = self._tape.visibility(len(values), rays)
+        settings = replace(self._settings, rays=rays)
+        recorder = self._keeper.recorder() if look and not self._tape.known else None
+        bits, known = self._tape.visibility(places.origins, places.normals, rays)
         shortcuts = Shortcuts(look=recorder, bits=bits, known=known)
         counts = yield from trace_all(
             places, occlusion, settings, values, shortcuts=shortcuts, gather=gather

@@ -1,27 +1,54 @@
 """What the rays of one bake found, kept so that another light needs none of them again.
 
-The steps of a bake follow from its job alone, so what is asked comes in the same order each time:
-the visibility of every place's rays, in one array a trace, what they meet where light bounces, and
-the answers to ``meets_back``.
+The steps of a bake to vertices follow from its job alone, so what is asked comes in the same order
+each time: the visibility of every place's rays, in one array a trace, what they meet where light
+bounces, and the answers to ``meets_back``.  Which texels are traced follows from the light too, so
+what is known of these is found by where their rays start (``PlaceTape``).
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from .cache import Cache
+from .tracing import identity
 from .tracing.rays import Mask, Occlusion, Vectors
 
 Bits = npt.NDArray[np.uint8]
+Known = npt.NDArray[np.bool_]
+Ask = Callable[[Vectors, Vectors], Known]
 
 LARGEST = 1 << 29  # bytes; what is larger is not kept
 
 
+class Record(Protocol):
+    """What is known of the rays of a bake: ``known`` where there is anything, with the ``report``
+    that was saved with it."""
+
+    known: bool
+    report: dict[str, Any]
+
+    def visibility(
+        self, origins: Vectors, normals: Vectors, rays: int
+    ) -> tuple[Bits | None, Known | None]:
+        """Where the visibility (M, rays / 8) of M places is, or is to be put, and of which it is
+        there (M,); None where nothing is kept."""
+        ...
+
+    def answers(self, ask: Ask, origins: Vectors, directions: Vectors) -> tuple[Known, int]:
+        """What ``ask`` answers (M,), or answered, and of how many it had to be asked."""
+        ...
+
+    def save(self, report: dict[str, Any]) -> None:
+        """Keep all that was found."""
+        ...
+
+
 class Tape:
-    """The tape named ``key`` of ``cache``: ``known`` where it is there to be read, with the
-    ``report`` that was saved with it.  Without a key nothing is kept."""
+    """A record that is asked for the same things in the same order each time: the one named ``key``
+    of ``cache``, which is only read where it is known.  Without a key nothing is kept."""
 
     def __init__(self, cache: Cache, key: str) -> None:
         self._cache, self._key = cache, key
@@ -31,26 +58,32 @@ class Tape:
         self._arrays: dict[str, npt.NDArray[Any]] = dict(entry.arrays) if entry else {}
         self._asked = 0
 
-    def visibility(self, count: int, rays: int) -> Bits | None:
-        """Where the visibility (count, rays / 8) of the next places is, or is to be put."""
+    def visibility(
+        self,
+        origins: Vectors,
+        normals: Vectors,  # noqa: ARG002 - told apart by their order
+        rays: int,
+    ) -> tuple[Bits | None, Known | None]:
+        """See Record: of the next places."""
         if not self._key:
-            return None
+            return None, None
         name = self._next()
         if not self.known:
-            self._arrays[name] = np.zeros((count, -(-rays // 8)), np.uint8)
+            self._arrays[name] = np.zeros((len(origins), -(-rays // 8)), np.uint8)
             self._forget_too_much()
-        return self._arrays.get(name)
+        return self._arrays.get(name), np.full(len(origins), self.known)
 
-    def answers(self, ask: Callable[[], npt.NDArray[np.bool_]], count: int) -> Any:
-        """What ``ask`` answers (count,), or answered."""
+    def answers(self, ask: Ask, origins: Vectors, directions: Vectors) -> tuple[Known, int]:
+        """See Record."""
         if not self._key:
-            return ask()
+            return ask(origins, directions), len(origins)
         name = self._next()
         if self.known:
-            return np.unpackbits(self._arrays[name], count=count).astype(bool)
-        answer = ask()
+            bits = np.asarray(self._arrays[name], np.uint8)
+            return np.unpackbits(bits, count=len(origins)).astype(bool), 0
+        answer = ask(origins, directions)
         self._arrays[name] = np.packbits(answer)
-        return answer
+        return answer, len(origins)
 
     def recall(self, names: Sequence[str]) -> list[npt.NDArray[Any]]:
         """The next arrays that were kept under ``names``; only where the tape is known."""
@@ -82,12 +115,82 @@ class Tape:
             self._key, self._arrays = "", {}
 
 
+class PlaceTape:
+    """A record that is asked for some places, in any order: the one named ``key`` of ``cache``.
+    What it did not know yet is added to it.  Without a key nothing is kept."""
+
+    def __init__(self, cache: Cache, key: str) -> None:
+        self._cache, self._key = cache, key
+        entry = cache.get(key) if key else None
+        self.known = entry is not None
+        self.report: dict[str, Any] = entry.report if entry else {}
+        self._old: Mapping[str, npt.NDArray[Any]] = entry.arrays if entry else {}
+        self._new: dict[str, list[tuple[identity.Keys, Bits, Known]]] = {}
+
+    def visibility(
+        self, origins: Vectors, normals: Vectors, rays: int
+    ) -> tuple[Bits | None, Known | None]:
+        """See Record."""
+        if not self._key:
+            return None, None
+        return self._recall(str(rays), identity.keys(origins, normals), -(-rays // 8))
+
+    def answers(self, ask: Ask, origins: Vectors, directions: Vectors) -> tuple[Known, int]:
+        """See Record."""
+        if not self._key:
+            return ask(origins, directions), len(origins)
+        bits, known = self._recall("backs", identity.keys(origins, directions), 1)
+        left = np.flatnonzero(~known)
+        if len(left):
+            bits[left, 0] = ask(origins[left], directions[left])
+        return bits[:, 0] > 0, len(left)
+
+    def _recall(self, name: str, keys: identity.Keys, width: int) -> tuple[Bits, Known]:
+        """What is known by this ``name`` of places with these ``keys``, and of which."""
+        bits, known = np.zeros((len(keys), width), np.uint8), np.zeros(len(keys), bool)
+        if f"{name} keys" in self._old and len(keys):
+            old = self._old[f"{name} keys"]
+            row = np.minimum(np.searchsorted(old, keys), len(old) - 1)
+            known = np.asarray(old[row] == keys)
+            bits[known] = self._old[f"{name} bits"][row[known]]
+        self._new.setdefault(name, []).append((keys, bits, known))
+        return bits, known
+
+    def save(self, report: dict[str, Any]) -> None:
+        """See Record."""
+        added = {name: _unknown(some) for name, some in self._new.items()}
+        added = {name: both for name, both in added.items() if len(both[0])}
+        size = sum(bits.nbytes for _, bits in added.values())
+        size += sum(array.nbytes for array in self._old.values())
+        if not self._key or not added or size > LARGEST:
+            return
+        arrays = dict(self._old)
+        for name, found in added.items():
+            keys, bits = (
+                np.concatenate([arrays.get(f"{name} {what}", more[:0]), more])
+                for what, more in zip(("keys", "bits"), found, strict=True)
+            )
+            arrays[f"{name} keys"], first = np.unique(keys, return_index=True)
+            arrays[f"{name} bits"] = bits[first]
+        self._cache.put(self._key, arrays, report)
+
+
+def _unknown(
+    some: Sequence[tuple[identity.Keys, Bits, Known]],
+) -> list[npt.NDArray[Any]]:
+    """Keys and bits of those that were not known."""
+    keys = [keys[~known] for keys, _, known in some]
+    return [np.concatenate(keys), np.concatenate([bits[~known] for _, bits, known in some])]
+
+
 class Remembered:
     """An occlusion that is built when it is first needed, and whose answers to ``meets_back`` are
-    on a tape; rays to the sky are there with their places."""
+    on a ``tape``; rays to the sky are there with their places.  ``asked`` is how many it was asked
+    that were not."""
 
-    def __init__(self, build: Callable[[], Occlusion], tape: Tape) -> None:
+    def __init__(self, build: Callable[[], Occlusion], tape: Record) -> None:
         self._build, self._tape = build, tape
+        self.asked = 0
 
     def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:
         """The occlusion's own."""
@@ -102,9 +205,12 @@ class Remembered:
         """The occlusion's own."""
         return self._build().watertight()
 
-    def meets_back(self, origins: Vectors, directions: Vectors) -> npt.NDArray[np.bool_]:
+    def meets_back(self, origins: Vectors, directions: Vectors) -> Known:
         """The occlusion's own, or what it was."""
-        found: npt.NDArray[np.bool_] = self._tape.answers(
-            lambda: self._build().meets_back(origins, directions), len(origins)
-        )
+
+        def ask(origins: Vectors, directions: Vectors) -> Known:
+            return self._build().meets_back(origins, directions)
+
+        found, asked = self._tape.answers(ask, origins, directions)
+        self.asked += asked
         return found

@@ -22,13 +22,14 @@ from .layout import Layout
 from .results import RESULT_ARRAYS, Atlas, InAtlas, ReceiverResult
 from .surface.points import Points, Surface
 from .surface.samples import random_places
-from .tape import Tape
+from .tape import PlaceTape
 from .texture.fill import push_pull
 from .texture.places import pilot_points
 from .texture.sampling import footprint
 from .texture.solver import Texels
 from .texture.solver import solve as solve_texels
 from .tiles import largest_size
+from .tracing import identity
 from .verify import Shown, shown_at
 from .vertex.traced import Found
 
@@ -129,8 +130,9 @@ def bake_texels(
     with scene.meter.phase("prepare"):
         points = prepared(receiver)
         digest = hashlib.blake2b(np.ascontiguousarray(uvs), digest_size=20)
-        digest.update(json.dumps(sheet.size).encode() + (surfaces.key if surfaces else b""))
-        result_key, _ = scene.keys(index, points, Far(digest.digest()))
+        digest.update(json.dumps(sheet.size).encode())
+        far = Far(digest.digest() + (surfaces.key if surfaces else b""), digest.digest())
+        result_key, tape_key = scene.keys(index, points, far)
         known = scene.cache.get(result_key) if result_key else None
     about = {
         "carrier": "texture",
@@ -146,7 +148,8 @@ def bake_texels(
         result = replace(baked.result, in_atlas=where)
         return replace(baked, result=result, entry={**baked.entry, **about})
     leaving = (yield from surfaces.leaving()) if surfaces else None
-    work = TextureWork(scene, index, points, sheet, uvs, leaving)
+    tape = PlaceTape(scene.cache, "" if surfaces else tape_key)
+    work = TextureWork(scene, index, points, sheet, uvs, tape, leaving)
     solved = yield from work.solve()
     result = replace(work.result(solved), in_atlas=InAtlas(number, uvs, work.texels))
     entry = {**work.entry(solved), **about, **(surfaces.report if surfaces else {})}
@@ -158,8 +161,8 @@ def bake_texels(
 
 class TextureWork(Bake[Found]):
     """The bake of one receiver into its texels, with what is ``leaving`` the surfaces about it.
-    Which texels are traced follows from the light too, so no tape of their rays could be played
-    under another one."""
+    Which texels are traced follows from the light too, so how the rays of each are turned follows
+    from where it lies: then its tape knows them again among others."""
 
     def __init__(  # noqa: PLR0917 - one caller
         self,
@@ -168,10 +171,11 @@ class TextureWork(Bake[Found]):
         points: Points,
         sheet: Sheet,
         uvs: Array,
+        tape: PlaceTape,
         leaving: Leaving | None,
     ) -> None:
         expected = max(1, round(TRACED * USED * sheet.size**2 / len(sheet.uvs)))
-        super().__init__(scene, index, points, Tape(scene.cache, ""), expected=expected)
+        super().__init__(scene, index, points, tape, expected=expected)
         self._uvs, self._size, self._leaving = uvs, sheet.size, leaving
         self._pilots = pilot_points(self._receiver, seed=self._settings.seed)
         self.texels = np.empty(0, np.int64)
@@ -199,13 +203,21 @@ class TextureWork(Bake[Found]):
         """See Bake."""
         return self._leaving is not None
 
-    def _trace(self, origins: Array, normals: Array, rays: int) -> Generator[int, None, Array]:
+    def _trace(
+        self,
+        origins: Array,
+        normals: Array,
+        rays: int,
+        azimuth: npt.NDArray[np.float64] | None = None,
+    ) -> Generator[int, None, Array]:
         """As without bounces, and what these bring, before the visibility."""
+        if azimuth is None:
+            azimuth = identity.azimuths(identity.keys(origins, normals), self._settings.seed)
         if self._leaving is None:
-            return (yield from super()._trace(origins, normals, rays))
+            return (yield from super()._trace(origins, normals, rays, azimuth))
         more = np.zeros((len(origins), self._leaving.table.shape[1]), np.float32)
         self._look = self._leaving.look(rays, more)
-        direct, seen = self._apart((yield from super()._trace(origins, normals, rays)))
+        direct, seen = self._apart((yield from super()._trace(origins, normals, rays, azimuth)))
         return np.concatenate([direct, more, seen], axis=1)
 
     def _apart(self, values: Array) -> tuple[Array, Array]:

@@ -149,9 +149,27 @@ def test_kept_visibility_needs_no_ray():
     where = points.distinct_points(receiver)
     bits = np.zeros((len(where.origins), 13), np.uint8)
     first, _ = traced(where, vertices, triangles, count=100, bits=bits)
-    again, counts = traced(where, *shapes.box(), count=100, bits=bits, known=True)
+    again, counts = traced(
+        where, *shapes.box(), count=100, bits=bits, known=np.ones(len(bits), bool)
+    )
     np.testing.assert_array_equal(again, first)
     assert counts[transfer.CAST] == 0
+
+
+@pytest.mark.parametrize("pilot", [0, 4])
+def test_points_among_others_that_are_known_are_traced_as_they_would_be(pilot):
+    receiver, vertices, triangles = shapes.knot_scene(100, 12)
+    where = points.distinct_points(receiver)
+    bits = np.zeros((len(where.origins), 13), np.uint8)
+    first, _ = traced(where, vertices, triangles, count=100, bits=bits, pilot=pilot)
+    known = np.random.default_rng(0).random(len(bits)) < 0.7
+    again = np.where(known[:, None], bits, np.uint8(255))
+    found, counts = traced(
+        where, vertices, triangles, count=100, bits=again, known=known, pilot=pilot
+    )
+    np.testing.assert_array_equal(found, first)
+    np.testing.assert_array_equal(again, bits)
+    assert counts[transfer.KNOWN] == 100 * known.sum()
 
 
 @pytest.mark.parametrize("count", [100, 256])

@@ -12,7 +12,7 @@ from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.files.atlases import read_tiles
 from prt_baker.addon.prt.run import run
 from prt_baker.addon.prt.texture.sampling import bilinear
-from test_baking import rays_of, sky
+from test_baking import rays_of, same, sky
 from test_run import finish
 
 SIZE = 64
@@ -42,7 +42,8 @@ def with_settings(job, **changes):
 
 
 def test_the_file_shows_what_was_baked(job, tmp_path):
-    """Every texel of the file is the receiver's, or filled; nothing is left empty."""
+    """Every texel of the file is the receiver's, or filled; nothing is left empty.  (The fit along
+    borders may take a texel beside the ball's poles, of which next to nothing is read, to 0.)"""
     steps, results = finish(engine.run(job, tmp_path))
     fractions = [step.fraction for step in steps]
     assert fractions == sorted(fractions)
@@ -51,7 +52,7 @@ def test_the_file_shows_what_was_baked(job, tmp_path):
     image, names = read_tiles(atlas.path)
     assert names == atlas.names == tuple([f"T{i}" for i in range(9)] + ["R0r", "R0g", "R0b"])
     assert image.shape == (SIZE, SIZE, 12)
-    assert image[..., 0].min() > 0
+    assert (image[..., 0] <= 0).sum() <= 2
     for result, receiver in zip(results.receivers, job.receivers, strict=True):
         uvs = result.in_atlas.uvs
         assert uvs.shape == (len(receiver.corner_vertices), 2)
@@ -238,3 +239,31 @@ class TestAuto:
     )
     def test_the_rule(self, errors, sizes, expected):
         assert choosing.Choice(*errors, *sizes).carrier(0.02) == expected
+
+
+def under(job, seed, *, cached=True):
+    """``job`` in a finer atlas, under the sky of this ``seed``."""
+    job = with_settings(job, resolution=192, cache=job.settings.cache if cached else "")
+    return replace(job, light=jobs.LightSource(pixels=sky(seed)))
+
+
+def without_map_rays(results):
+    return [entry["rays"] - entry["map_rays"] for entry in results.report["objects"]]
+
+
+def test_another_light_traces_no_texel_again(job):
+    """The shadow of another sun has texels of its own; all others are known, and what comes out is
+    what comes out without a cache.  Under a third light, whose sun stands where the first one's
+    does, all are."""
+    _, first = finish(run(under(job, 0)))
+    _, second = finish(run(under(job, 1)))
+    _, fresh = finish(run(under(job, 1, cached=False)))
+    (ball, floor), all_of = without_map_rays(second), without_map_rays(fresh)
+    assert ball == 0
+    assert floor < 0.05 * all_of[1]
+    same(second, fresh)
+    stronger = under(job, 0)
+    stronger = replace(stronger, light=replace(stronger.light, strength=2.0))
+    _, third = finish(run(stronger))
+    assert without_map_rays(third) == [0, 0]
+    assert min(without_map_rays(first)) > 0

@@ -8,7 +8,7 @@ import shapes
 from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.job import Settings
 from prt_baker.addon.prt.surface import points
-from prt_baker.addon.prt.tracing import rays, transfer
+from prt_baker.addon.prt.tracing import rays, tolerance, transfer
 
 UP = [0.0, 0.0, 1.0]
 
@@ -141,5 +141,5 @@ def test_estimated_error_is_the_true_one(count):
     some = at(where.origins[::29], where.normals[::29])
     sky = rays.occlusion(vertices, triangles)
     result, reference = trace(some, sky, count=count), trace(some, sky, count=16384, seed=9)
-    estimate, _ = transfer.estimate_error(some, sky, Settings(rays=count), result)
+    estimate, _ = tolerance.estimate_error(some, sky, Settings(rays=count), result)
     assert 0.85 < estimate / transfer.relative_rms(result, reference) < 1.15

@@ -23,6 +23,7 @@ Array = npt.NDArray[np.float32]
 
 COARSEST = 8  # texels from one that is traced to the next
 SHARES = {8: 2.0, 4: 2.0, 2: 1.0, 1: 0.75}  # of the rays, by the distance to the next texel
+BEND = 8.0  # times the tolerance: half way on a parabola the error is an eighth of the bend
 SPREAD = 8.0  # times the tolerance: neighbours that differ by more may have an edge between them
 ENOUGH = 256  # texels that tell how large an object's values are
 PIECE = 1 << 16  # texels that are looked at together
@@ -167,7 +168,7 @@ class Refinement:
         left, right, before, after = (self.values[near[:, k]] for k in range(4))
         bends = np.where(known[:, 2], size(before - 2 * left + right), 0)
         bends = np.maximum(bends, np.where(known[:, 3], size(after - 2 * right + left), 0))
-        bent = bends > 8 * tolerance  # half way on a parabola the error is an eighth of it
+        bent = bends > BEND * tolerance
         differ = size(right - left) > SPREAD * tolerance
         has_both = known[:, :2].all(axis=1)
         differs |= has_both & differ & (bent | ~known[:, 2:].any(axis=1))

@@ -6,7 +6,6 @@ points next to sound ones take their darkest neighbour's transfer instead: it gr
 a contact, and a crevice (the rim of Suzanne's eyes) must not be lit by what lies around it.
 """
 
-from math import pi
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy.typing as npt
 from .. import sh
 from ..job import Receiver
 from ..surface.points import Points, element_triangles
+from . import identity
 from .hemisphere import RaysInWorld, cosine_fibonacci, frames
 from .rays import Occlusion
 
@@ -40,7 +40,8 @@ def buried(
         some = dark[start : start + CHUNK]
         starts, directions = np.empty((2, len(some) * RAYS, 3), np.float32)
         in_world.origins(origins[some], starts)
-        local = frames(normals[some], some % 97 * (2 * pi / 97))
+        azimuth = identity.azimuths(identity.keys(origins[some], normals[some]), 0)
+        local = frames(normals[some], azimuth)
         in_world.directions(local.matrices(), directions)
         backs = occlusion.meets_back(starts, directions).reshape(len(some), RAYS)
         found[some] = backs.mean(axis=1) > 0.5

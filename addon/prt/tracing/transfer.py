@@ -32,8 +32,6 @@ Counts = Counter[str]
 BATCH_RAYS = 32768
 PARTS = 16  # of the points of a trace, so that threads end together, but
 PART_RAYS = 1 << 17, 1 << 19  # in a part no fewer and no more
-PILOT_POINTS = 1024
-ERROR_OF_DIFFERENCE = 0.325  # of |T(N) - T(N/4)|, pooled: within 10 % of the true error of T(N)
 
 CAST = "cast"
 MAP_RAYS = "cast towards the map's light"
@@ -88,14 +86,15 @@ class Shortcuts:
 
     ``horizon`` knows directions that nothing can block.  Where ``pilot`` is 2 or more, every
     ``pilot``-th ray of a point is traced first, and a point where all of them are blocked stops.
-    ``bits`` (P, N / 8) is the visibility of every ray: read where ``known``, else filled in.
+    ``bits`` (P, N / 8) is the visibility of every ray: read of points that are ``known`` (P,), else
+    filled in.
     ``look`` is shown every ray that is traced, and needs a ``pilot`` of 0.
     """
 
     horizon: Horizon | None = None
     pilot: int = 0
     bits: Bits | None = None
-    known: bool = False
+    known: npt.NDArray[np.bool_] | None = None
     look: Look | None = None
 
 
@@ -108,6 +107,11 @@ class _Few:
     origins: Array
     matrices: Array
     open: Alike
+
+    def only(self, some: Index) -> "_Few":
+        """Those that are ``some`` (M,) of them."""
+        its = self.numbers[some], self.origins[some], self.matrices[some]
+        return _Few(*its, self.open)
 
 
 class Tracer:
@@ -126,10 +130,13 @@ class Tracer:
         gather: Gather | None,
         *,
         visibility_order: int = 0,
+        azimuth: npt.NDArray[np.float64] | None = None,
     ) -> None:
         self.points, self.rays, self._occlusion = points, settings.rays, occlusion
-        random = np.random.default_rng([settings.seed, settings.rays])
-        self._azimuth = random.random(len(points.origins)) * (2 * np.pi)
+        if azimuth is None:
+            random = np.random.default_rng([settings.seed, settings.rays])
+            azimuth = random.random(len(points.origins)) * (2 * np.pi)
+        self._azimuth = azimuth
         self._azimuth_turns = turns(self._azimuth)
         hemisphere = hemisphere_set(settings.rays, settings.order)
         self._local = hemisphere.directions
@@ -220,10 +227,26 @@ class Tracer:
 
     def _see(self, batch: _Few, visible: Array) -> Counts:
         """Fill in which rays of the points reach the sky, 1 or 0; the rays cast and skipped."""
-        bits, first = self._shortcuts.bits, batch.open.first
-        if bits is not None and self._shortcuts.known:
-            visible[:] = np.unpackbits(bits[batch.numbers], axis=1, count=self.rays)
-            return Counter({KNOWN: visible.size})
+        bits, known = self._shortcuts.bits, self._shortcuts.known
+        if bits is None:
+            return self._cast(batch, visible)
+        mine = np.zeros(len(batch.numbers), bool) if known is None else known[batch.numbers]
+        if not mine.any():
+            counts = self._cast(batch, visible)
+            bits[batch.numbers] = np.packbits(visible != 0, axis=1)
+            return counts
+        left = np.flatnonzero(~mine)
+        counts = Counter({KNOWN: (len(batch.numbers) - len(left)) * self.rays})
+        if len(left):
+            found = np.empty((len(left), self.rays), np.float32)
+            counts += self._cast(batch.only(left), found)
+            bits[batch.numbers[left]] = np.packbits(found != 0, axis=1)
+        visible[:] = np.unpackbits(bits[batch.numbers], axis=1, count=self.rays)
+        return counts
+
+    def _cast(self, batch: _Few, visible: Array) -> Counts:
+        """As ``_see``, of points of which nothing is known."""
+        first = batch.open.first
         if first or self._shortcuts.pilot < 2:
             visible[:, :first] = 1
             cast = self._see_others(batch, visible[:, first:])
@@ -231,8 +254,6 @@ class Tracer:
         else:
             counts = self._see_first(batch, visible)
         counts[CAST] += self._confirm(batch, visible)
-        if bits is not None:
-            bits[batch.numbers] = np.packbits(visible != 0, axis=1)
         return counts
 
     def _see_others(self, batch: _Few, visible: Array) -> int:
@@ -325,15 +346,23 @@ def trace_all(
     shortcuts: Shortcuts = Shortcuts(),
     gather: Gather | None = None,
     visibility_order: int = 0,
+    azimuth: npt.NDArray[np.float64] | None = None,
 ) -> Generator[int, None, Counts]:
     """Fill ``out`` (P, n² + gathered columns + visibility_order²) and yield the rays cast so far;
-    ``close()`` stops it.
+    ``close()`` stops it.  Rays are turned about the normals by ``azimuth`` (P,) in radians, by
+    default a random one.
 
     The value is the rays cast and skipped, by reason.  The same bits for any number of threads and
     any size of the batches.
     """
     tracer = Tracer(
-        points, occlusion, settings, shortcuts, gather, visibility_order=visibility_order
+        points,
+        occlusion,
+        settings,
+        shortcuts,
+        gather,
+        visibility_order=visibility_order,
+        azimuth=azimuth,
     )
     counts: Counts = Counter()
     pool = workers(settings.threads)
@@ -349,22 +378,6 @@ def trace_all(
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
     return counts
-
-
-def estimate_error(
-    points: Points, occlusion: Occlusion, settings: Settings, transfer: Array
-) -> tuple[float, int]:
-    """The relative RMS error of ``transfer`` (P, n²), and the rays that finding it took.
-
-    A part of the points is traced again with a quarter of the rays and other azimuths; the pooled
-    difference times a constant is the error of the full set.
-    """
-    few = replace(settings, rays=max(1, settings.rays // 4), seed=settings.seed + 1)
-    chosen = np.unique(np.linspace(0, len(points.origins) - 1, PILOT_POINTS).astype(np.int64))
-    pilot_points = Points(points.origins[chosen], points.normals[chosen], points.element_points[:0])
-    pilot = np.empty((len(chosen), settings.order**2), np.float32)
-    *_, cast = trace_all(pilot_points, occlusion, few, pilot)
-    return ERROR_OF_DIFFERENCE * relative_rms(pilot, transfer[chosen]), cast
 
 
 def relative_rms(values: npt.ArrayLike, reference: npt.ArrayLike) -> float:
