@@ -47,6 +47,10 @@ class Maths:
         """From the vector ``first`` to ``second``."""
         return self.vector("MULTIPLY_ADD", self.vector("SUBTRACT", second, first), share, first)
 
+    def between(self, first: Argument, second: Argument, share: Argument) -> Socket:
+        """From the number ``first`` to ``second``."""
+        return self.scalar("MULTIPLY_ADD", self.scalar("SUBTRACT", second, first), share, first)
+
     def parts(self, vector: Socket) -> tuple[Socket, Socket, Socket]:
         """Its three numbers."""
         node = self.node("ShaderNodeSeparateXYZ")

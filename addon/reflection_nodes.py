@@ -6,7 +6,7 @@ picture ``Lamp j``, its irradiance, ``Lamp j direction`` and ``Lamp j half``, wh
 world, and ``Lamp j shadow``, how much of its baked shadow is still there.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import pi
 
@@ -41,15 +41,17 @@ IMAGE = "prt_reflected"  # of a group: what it reflects
 @dataclass(frozen=True)
 class View:
     """How a surface is seen: its unit ``normal``, the ``own`` one that no map has bent, ``towards``
-    the viewer, the cosine ``n_v``, the ``roughness`` and the ``direction`` that radiance is looked
-    up in, all of the world."""
+    the viewer, the cosine ``n_v``, the ``roughness``, the ``split`` sum's A and B, and in which
+    ``direction`` and at which roughness, ``filtered``, radiance is looked up, all of the world."""
 
     normal: Socket
     own: Socket
     towards: Socket
     n_v: Socket
     roughness: Socket
+    split: tuple[Socket, Socket]
     direction: Socket
+    filtered: Socket
 
 
 @dataclass(frozen=True)
@@ -83,8 +85,8 @@ def exit_radiance(
 ) -> Socket:
     """Of a surface whose Principled BSDF ``inputs`` describe, ``white`` being that of a white
     diffuse one."""
-    image, seen = light.image, _view(tree, inputs)
-    lobe = _lobes(tree, inputs, seen, image)
+    image, seen = light.image, _view(tree, inputs, light.image)
+    lobe = _lobes(tree, inputs, seen)
     make = Maths(tree, 12)
     lit = _radiance(tree, seen, image)
     share = _occlusion(tree, seen, light)
@@ -106,9 +108,9 @@ def interface(tree: bpy.types.NodeTree) -> None:
             socket.min_value, socket.max_value = 0.0, 10.0 if name == "IOR" else 1.0
 
 
-def _view(tree: bpy.types.NodeTree, inputs: Inputs) -> View:
+def _view(tree: bpy.types.NodeTree, inputs: Inputs, image: bpy.types.Image) -> View:
     """Normal, viewer and look-up."""
-    make = Maths(tree, 0)
+    make, last = Maths(tree, 0), table.SIZE - 1.0
     geometry = make.node("ShaderNodeNewGeometry")
     own, towards = geometry.outputs["Normal"], geometry.outputs["Incoming"]
     given = inputs["Normal"]
@@ -117,10 +119,16 @@ def _view(tree: bpy.types.NodeTree, inputs: Inputs) -> View:
     n_v = make.clamped(make.vector("DOT_PRODUCT", normal, towards))
     roughness = make.clamped(inputs["Roughness"])
     mirrored = make.vector("REFLECT", make.vector("MULTIPLY", towards, -1.0), normal)
-    share = make.scalar("POWER", roughness, make.scalar("MULTIPLY_ADD", n_v, 2.0, 2.0))
-    bent = make.scalar("MULTIPLY", share, inputs["Rough Look-up"])
-    direction = make.vector("NORMALIZE", make.mixed(mirrored, normal, bent))
-    return View(normal, own, towards, n_v, roughness, direction)
+    across = make.scalar("MULTIPLY_ADD", make.scalar("SQRT", n_v), last, sheet.NODE)
+    place = make.joined(across, make.scalar("MULTIPLY_ADD", roughness, last, sheet.NODE))
+    make, bent = Maths(tree, 15), inputs["Rough Look-up"]
+    texels = _Texels(make, image, place)
+    a, b, share = make.parts(texels.colour())
+    direction = make.mixed(mirrored, normal, make.scalar("MULTIPLY", share, bent))
+    wider = make.scalar("MULTIPLY", make.scalar("SUBTRACT", texels.alpha(), 1.0), bent)
+    filtered = make.clamped(make.scalar("MULTIPLY_ADD", roughness, wider, roughness))
+    direction = make.vector("NORMALIZE", direction)
+    return View(normal, own, towards, n_v, roughness, (a, b), direction, filtered)
 
 
 def _radiance(tree: bpy.types.NodeTree, seen: View, image: bpy.types.Image) -> Socket:
@@ -134,19 +142,17 @@ def _radiance(tree: bpy.types.NodeTree, seen: View, image: bpy.types.Image) -> S
     u = make.scalar("MULTIPLY_ADD", make.scalar("ARCTAN2", y, x), -0.5 / pi, 0.5)
     up = make.scalar("ARCSINE", make.clamped(z, -1.0, 1.0))
     place = make.joined(u, make.scalar("MULTIPLY_ADD", up, 1 / pi, 0.5))
-    lower, upper, share = _places(Maths(tree, 2), seen.roughness, place, its_sheet)
+    lower, upper, share = _places(Maths(tree, 2), seen.filtered, place, its_sheet)
     make = Maths(tree, 3)
-    found = make.mixed(_read(make, image, lower), _read(make, image, upper), share)
+    first, second = (_Texels(make, image, place).colour() for place in (lower, upper))
+    found = make.mixed(first, second, share)
     positive = make.vector("MAXIMUM", found, (0.0, 0.0, 0.0))
     return make.vector("MULTIPLY", positive, (1.0, 1.0, 1.0), name="Strength")
 
 
-def _lobes(tree: bpy.types.NodeTree, inputs: Inputs, seen: View, image: bpy.types.Image) -> Lobes:
+def _lobes(tree: bpy.types.NodeTree, inputs: Inputs, seen: View) -> Lobes:
     """What is reflected, under light from everywhere, and what the diffuse surface keeps."""
-    make, last = Maths(tree, 4), table.SIZE - 1.0
-    across = make.scalar("MULTIPLY_ADD", make.scalar("SQRT", seen.n_v), last, sheet.NODE)
-    up = make.scalar("MULTIPLY_ADD", seen.roughness, last, sheet.NODE)
-    a, b, _ = make.parts(_read(make, image, make.joined(across, up)))
+    make, (a, b) = Maths(tree, 4), seen.split
     whole = make.scalar("ADD", a, b)
     lost = make.scalar("SUBTRACT", make.scalar("DIVIDE", 1.0, whole), 1.0)
     gain = make.scalar("MULTIPLY", lost, inputs["Energy Compensation"])
@@ -188,7 +194,7 @@ def _occlusion(tree: bpy.types.NodeTree, seen: View, light: Reflected) -> Socket
     that."""
     if not light.seen:
         return None
-    factors = lobe_factors(tree, seen.roughness, light.image)
+    factors = lobe_factors(tree, seen.filtered, light.image)
     lobe = occlusion_nodes.lobe(tree, light.seen, seen.direction, factors)
     arriving = occlusion_nodes.arriving(tree, light.transfer, seen.own)
     make = Maths(tree, 14)
@@ -209,8 +215,7 @@ def lobe_factors(
         reads.append(_texture(make, image, place))
     colour = make.mixed(*(node.outputs["Color"] for node in reads), part)
     low, high = (node.outputs["Alpha"] for node in reads)
-    alpha = make.scalar("MULTIPLY_ADD", make.scalar("SUBTRACT", high, low), part, low)
-    stored = (*make.parts(colour), alpha)
+    stored = (*make.parts(colour), make.between(low, high, part))
     return [make.scalar("MULTIPLY_ADD", value, 2.0, -1.0) for value in stored]
 
 
@@ -335,22 +340,34 @@ def _highlight(
     return n_l, make.vector("MULTIPLY", fresnel, d)
 
 
-def _read(make: Maths, image: bpy.types.Image, place: Socket) -> Socket:
-    """The colour at ``place``, in texels, as ``prt/specular/reads.py`` finds it."""
-    width, height = reflections.of(image).sheet.size
-    shifted = make.vector("SUBTRACT", place, (0.5, 0.5, 0.0))
-    corner, part = make.vector("FLOOR", shifted), make.vector("FRACTION", shifted)
-    right, up, _ = make.parts(part)
-    rows = []
-    for j in (0.5, 1.5):
-        texels = []
-        for i in (0.5, 1.5):
-            centre = (i / width, j / height, 0.0)
-            scale = (1 / width, 1 / height, 0.0)
-            at = make.vector("MULTIPLY_ADD", corner, scale, centre)
-            texels.append(_texture(make, image, at).outputs["Color"])
-        rows.append(make.mixed(*texels, right))
-    return make.mixed(*rows, up)
+class _Texels:
+    """What is at ``place``, in texels, as ``prt/specular/reads.py`` finds it."""
+
+    def __init__(self, make: Maths, image: bpy.types.Image, place: Socket) -> None:
+        width, height = reflections.of(image).sheet.size
+        shifted = make.vector("SUBTRACT", place, (0.5, 0.5, 0.0))
+        corner, part = make.vector("FLOOR", shifted), make.vector("FRACTION", shifted)
+        self._make = make
+        self._right, self._up, _ = make.parts(part)
+        scale = (1 / width, 1 / height, 0.0)
+        self._four = [
+            _texture(make, image, make.vector("MULTIPLY_ADD", corner, scale, centre)).outputs
+            for j in (0.5, 1.5)
+            for centre in ((0.5 / width, j / height, 0.0), (1.5 / width, j / height, 0.0))
+        ]
+
+    def colour(self) -> Socket:
+        """Red, green and blue."""
+        return self._between("Color", self._make.mixed)
+
+    def alpha(self) -> Socket:
+        """The fourth number."""
+        return self._between("Alpha", self._make.between)
+
+    def _between(self, output: str, mix: Callable[[Socket, Socket, Socket], Socket]) -> Socket:
+        left, right, upper_left, upper_right = (outputs[output] for outputs in self._four)
+        upper = mix(upper_left, upper_right, self._right)
+        return mix(mix(left, right, self._right), upper, self._up)
 
 
 def _texture(make: Maths, image: bpy.types.Image, place: Socket) -> bpy.types.Node:

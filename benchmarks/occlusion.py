@@ -125,9 +125,9 @@ class Ball:
 
     def lobe(self, order: int, roughness: float) -> Array:
         """The share (P,) of the lobe that a visibility of ``order`` sees."""
-        directions = shading.look_up(self.normals, self.towards, roughness)
+        directions, filtered = shading.look_up(self.normals, self.towards, roughness)
         seen = self.visibility_sh[:, : order**2]
-        return occlusion.occlusion(seen, directions, zonal_factors(roughness))
+        return occlusion.occlusion(seen, directions, zonal_factors(filtered))
 
 
 def even_sphere(count: int) -> Array:

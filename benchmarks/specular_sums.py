@@ -80,6 +80,6 @@ def formula(  # noqa: PLR0917 - all of the documented formula
     """The exit radiance (P, 3) that is documented, with both ``switches`` or as the pure theory."""
     diffuse, specular = shading.parts(surface, split, compensated=switches)
     views = np.broadcast_to(view, normals.shape)
-    towards = shading.look_up(normals, views, surface.roughness, bent=switches)
-    lit = sheet.radiance(its_sheet, image, towards, surface.roughness)
+    towards, filtered = shading.look_up(normals, views, surface.roughness, bent=switches)
+    lit = sheet.radiance(its_sheet, image, towards, filtered)
     return np.asarray(diffuse * white + specular * lit)

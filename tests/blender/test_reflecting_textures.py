@@ -73,9 +73,10 @@ def expected(made, layout, texels):
     surface = shading.Surface(reflecting.BASE, METALLIC, ROUGHNESS)
     split = sheet.split_sum(made[1], np.full(count, ROUGHNESS), np.ones(count))
     diffuse, specular = shading.parts(surface, split)
-    lit = sheet.radiance(*made, up @ reflecting.TURN.T, ROUGHNESS) * reflecting.STRENGTH
+    towards, filtered = shading.look_up(up, up, ROUGHNESS)
+    lit = sheet.radiance(*made, towards @ reflecting.TURN.T, filtered) * reflecting.STRENGTH
     if layout.visibility_order:
-        lobe = occlusion.occlusion(found.visibility_sh, up, sheet.zonal_factors(ROUGHNESS))
+        lobe = occlusion.occlusion(found.visibility_sh, towards, sheet.zonal_factors(filtered))
         light = occlusion.brightened(LIGHT, layout.order)
         lit = lit * occlusion.share(lobe, occlusion.arriving(found.transfer, up, light), ROUGHNESS)
     return diffuse * white + specular * lit

@@ -51,11 +51,9 @@ def test_the_share_of_a_lobe_that_is_seen_is_reflected(scene, made, reflected, t
         surface = shading.Surface(reflecting.BASE, 1.0, roughness)
         whole = reflecting.by_formula(made, surface, normals)
         views = np.tile([0.0, 0, 1], (len(normals), 1))
-        lobe = occlusion(
-            np.tile(coefficients, (len(normals), 1)),
-            shading.look_up(normals, views, roughness),
-            sheet.zonal_factors(roughness),
-        )
+        towards, filtered = shading.look_up(normals, views, roughness)
+        seen = np.tile(coefficients, (len(normals), 1))
+        lobe = occlusion(seen, towards, sheet.zonal_factors(filtered))
         transfer = np.tile(TRANSFER, (len(normals), 1, 1))
         share = blended(lobe, arriving(transfer, normals, brightened(LIGHT, 2)), roughness)
         found = shown[pixels[:, 0], pixels[:, 1]]

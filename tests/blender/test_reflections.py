@@ -132,8 +132,8 @@ def by_formula(made, surface, normals, bent=True, compensated=True):
     diffuse, specular = shading.parts(
         surface, sheet.split_sum(made[1], rough, n_v), compensated=compensated
     )
-    towards = shading.look_up(normals, views, surface.roughness, bent=bent) @ TURN.T
-    lit = sheet.radiance(*made, towards, surface.roughness) * STRENGTH
+    towards, filtered = shading.look_up(normals, views, surface.roughness, bent=bent)
+    lit = sheet.radiance(*made, towards @ TURN.T, filtered) * STRENGTH
     return diffuse * FLAT[0] + specular * lit
 
 

@@ -4,8 +4,9 @@
     lobe     = clip(sum V_lm z_l Y_lm(R), 0, 1)
     arriving = clip(sum T_i M_i / sum O_i M_i, 0, 1), channel by channel
 
-V is the visibility, R the look-up direction, z_l the zonal factors of the lobe of roughness r; T is
-the transfer, O that of the open surface with the same normal, M the light that is reflected.
+V is the visibility, R the look-up direction, z_l the zonal factors of the lobe that the light there
+is filtered with; T is the transfer, O that of the open surface with the same normal, M the light
+that is reflected.
 
 A sharp lobe asks where it points, and the visibility tells that.  A wide one asks for the light, as
 no share of the lobe says whether the sun stands before a wall or behind it.  At r = 1 the lobe is

@@ -6,14 +6,16 @@
     exit    = base colour (1 - metallic) (1 - max S_dielectric) diffuse
               + mix(S_dielectric, S_metal, metallic) L
 
-A and B at (roughness, n_v), L the filtered radiance about mix(mirrored, normal, r^(2 + 2 n_v)),
-r being the roughness.
+A and B at (roughness, n_v), L the filtered radiance about mix(mirrored, normal, s) of roughness
+q r, r being the roughness and s and q of ``look_up`` at (r, n_v).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
+from . import look_up as look_up_table
 
 Float = npt.NDArray[np.float64]
 EDGE = 50.0  # F90 is 1 from F0 = 0.02 on, and fades with it below
@@ -56,11 +58,16 @@ def parts(surface: Surface, split: Float, *, compensated: bool = True) -> tuple[
     return below * np.array(surface.base), specular
 
 
-def look_up(normals: Float, views: Float, roughness: float, *, bent: bool = True) -> Float:
-    """Where radiance is read (P, 3), for unit ``normals`` and ``views``, towards the viewer."""
+def look_up(
+    normals: Float, views: Float, roughness: npt.ArrayLike, *, bent: bool = True
+) -> tuple[Float, Float]:
+    """Where radiance is read (P, 3), and of which roughness (P,), for unit ``normals`` and
+    ``views`` (P, 3), towards the viewer."""
     facing = (normals * views).sum(axis=1, keepdims=True)
     mirrored = 2 * facing * normals - views
+    rough = np.array(np.broadcast_to(np.asarray(roughness, np.float64), len(normals)))
     if bent:
-        share = roughness ** (2 + 2 * facing.clip(0, 1))
-        mirrored = mirrored + share * (normals - mirrored)
-    return np.asarray(mirrored / np.linalg.norm(mirrored, axis=1, keepdims=True))
+        share, ratio = look_up_table.at(rough, facing[:, 0].clip(0, 1))
+        mirrored = mirrored + share[:, None] * (normals - mirrored)
+        rough = np.minimum(rough * ratio, 1)
+    return np.asarray(mirrored / np.linalg.norm(mirrored, axis=1, keepdims=True)), rough

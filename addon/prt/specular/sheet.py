@@ -6,7 +6,8 @@ lat-long maps as in Blender, with gutters that go on over the wrap and the poles
 full resolution, never from a mip level (``reads``): so neither the wrap of the azimuth nor the
 border between two levels shows.
 
-The left table holds A and B of the split sum over sqrt(n_v), to the right, and the roughness, up.
+The left table holds A and B of the split sum, and s and q of the look-up, as red, green, blue and
+alpha over sqrt(n_v), to the right, and the roughness, up.
 The right one holds, over the roughness alone, ``(1 + z_l) / 2`` of the lobe's zonal factors l = 1
 .. 4 as red, green, blue and alpha.
 """
@@ -19,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..steps import value_of
-from . import brdf, prefilter, reads, table
+from . import brdf, look_up, prefilter, reads, table
 
 Array = npt.NDArray[np.float32]
 Float = npt.NDArray[np.float64]
@@ -168,8 +169,8 @@ def _detail(width: int) -> int:
 
 def _tables() -> Array:
     """The strip (TILE, 2 TILE, 4)."""
-    nodes = np.ones((2, table.SIZE, table.SIZE, 4))
-    nodes[0, ..., :2] = table.load()
+    nodes = np.empty((2, table.SIZE, table.SIZE, 4))
+    nodes[0] = np.concatenate([table.load(), look_up.load()], axis=2)
     factors = zonal_factors(np.linspace(0, 1, table.SIZE))[:, 1:]
     nodes[1] = 0.5 + 0.5 * factors[:, None]
     tiles = np.pad(nodes, ((0, 0), (2, 2), (2, 2), (0, 0)), mode="edge")

@@ -7,6 +7,7 @@ grid are at equal steps of the roughness and of sqrt(n_v), both from 0 to 1.  ``
 this module holds it as ``compute`` makes it.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -24,28 +25,48 @@ SMOOTHEST = 1e-3  # stands for a roughness that falls to 0
 SMALLEST_COSINE = 1e-9  # stands for grazing, where the limit is taken
 
 
-def split_sum(roughness: float, n_v: float, count: int = GAUSS) -> tuple[float, float]:
-    """``A`` and ``B`` by Gauss-Legendre over the half vector h.
+@dataclass(frozen=True)
+class Lobe:
+    """Light directions that a white surface reflects to a viewer in the plane of x and z, z its
+    normal: their cosines ``n_l`` and ``x_l`` (Q,) to z and x, for one half of them; how much each
+    one counts where the Fresnel factor is 1, ``weights`` (Q,); and ``fresnel`` (Q,), its Fc."""
 
-    With ``tan theta = alpha tan t`` D's peak is as wide as any other in t.  For a given theta, l is
-    above the horizon up to an azimuth that is known exactly; it is a whole turn until
-    ``theta = (pi / 2 - theta_v) / 2``, and none from ``(pi / 2 + theta_v) / 2`` on.  These two are
-    the ends of pieces, as the azimuth has infinite slope there.
-    """
+    n_l: Float
+    x_l: Float
+    weights: Float
+    fresnel: Float
+
+    @classmethod
+    def of(cls, roughness: float, n_v: float, count: int = GAUSS) -> "Lobe":
+        """By Gauss-Legendre over the half vector h, for roughness above 0; the viewer's x is
+        positive.
+
+        With ``tan theta = alpha tan t`` D's peak is as wide as any other in t.  For a given theta,
+        l is above the horizon up to an azimuth that is known exactly; it is a whole turn until
+        ``theta = (pi / 2 - theta_v) / 2``, and none from ``(pi / 2 + theta_v) / 2`` on.  These two
+        are the ends of pieces, as the azimuth has infinite slope there.
+        """
+        n_v = max(n_v, SMALLEST_COSINE)
+        alpha, theta_v = roughness**2, float(np.arccos(n_v))
+        bounds = [np.arctan(np.tan((np.pi / 2 + s * theta_v) / 2) / alpha) for s in (-1, 1)]
+        nodes, weights = _clustered(count)
+        pieces = []
+        for low, high in ((0.0, bounds[0]), (bounds[0], bounds[1])):
+            t = low + (high - low) * nodes
+            theta = np.arctan(alpha * np.tan(t))
+            measure = 2 * np.sin(t) * np.cos(t) * weights * (high - low)  # of D n_h, azimuths apart
+            pieces.append(_over_azimuth(roughness, n_v, theta, measure, nodes, weights))
+        return cls(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
+
+
+def split_sum(roughness: float, n_v: float, count: int = GAUSS) -> tuple[float, float]:
+    """``A`` and ``B``."""
     if roughness == 0:
         fresnel = float(brdf.fresnel_part(n_v))
         return 1 - fresnel, fresnel
-    n_v = max(n_v, SMALLEST_COSINE)
-    alpha, theta_v = roughness**2, float(np.arccos(n_v))
-    bounds = [np.arctan(np.tan((np.pi / 2 + s * theta_v) / 2) / alpha) for s in (-1, 1)]
-    nodes, weights = _clustered(count)
-    total = np.zeros(2)
-    for low, high in ((0.0, bounds[0]), (bounds[0], bounds[1])):
-        t = low + (high - low) * nodes
-        theta = np.arctan(alpha * np.tan(t))
-        measure = 2 * np.sin(t) * np.cos(t) * weights * (high - low)  # of D n_h, azimuths apart
-        total += measure @ _over_azimuth(roughness, n_v, theta, nodes, weights)
-    return float(total[0]), float(total[1])
+    lobe = Lobe.of(roughness, n_v, count)
+    edge = float(lobe.weights @ lobe.fresnel)
+    return float(lobe.weights.sum()) - edge, edge
 
 
 def compute(size: int = SIZE) -> npt.NDArray[np.float32]:
@@ -85,24 +106,24 @@ def bilinear(table: npt.ArrayLike, roughness: npt.ArrayLike, n_v: npt.ArrayLike)
     return np.asarray(first * (1 - down) + second * down)
 
 
-def _over_azimuth(
-    roughness: float, n_v: float, theta: Float, nodes: Float, weights: Float
-) -> Float:
-    """Means (T, 2) over the azimuths of half vectors at ``theta`` (T,) of what is integrated."""
+def _over_azimuth(  # noqa: PLR0917 - a piece of Lobe.of
+    roughness: float, n_v: float, theta: Float, measure: Float, nodes: Float, weights: Float
+) -> tuple[Float, Float, Float, Float]:
+    """The fields of a Lobe for half vectors at ``theta`` (T,), each with its ``measure``."""
     cosine, sine = np.cos(theta)[:, None], np.sin(theta)[:, None]
     s_v = np.sqrt(1 - n_v * n_v)
     with np.errstate(divide="ignore", invalid="ignore"):
         edge = -n_v * np.cos(2 * theta) / (s_v * np.sin(2 * theta))
     from_above = -np.copysign(1, np.cos(2 * theta))  # where v is the normal
     furthest = np.arccos(np.clip(np.where(s_v > 0, edge, from_above), -1, 1))
-    phi = furthest[:, None] * nodes
-    v_h = np.clip(s_v * sine * np.cos(phi) + n_v * cosine, 0, 1)
+    along = np.cos(furthest[:, None] * nodes)
+    v_h = np.clip(s_v * sine * along + n_v * cosine, 0, 1)
     n_l = np.maximum(2 * v_h * cosine - n_v, 0)
     k = float(brdf.environment_k(roughness))
     value = brdf.masking(k, n_l) * brdf.visible_part(k, n_v) * v_h / cosine
-    value *= weights * furthest[:, None] / np.pi
-    fresnel = brdf.fresnel_part(v_h)
-    return np.stack([(value * (1 - fresnel)).sum(axis=1), (value * fresnel).sum(axis=1)], axis=1)
+    value *= weights * (measure * furthest / np.pi)[:, None]
+    x_l = 2 * v_h * sine * along - s_v
+    return n_l.ravel(), x_l.ravel(), value.ravel(), brdf.fresnel_part(v_h).ravel()
 
 
 @lru_cache(maxsize=4)
