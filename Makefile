@@ -1,5 +1,6 @@
 # make demo     bake, render and compare a scene (docs: README.md)
 # make test     lint, types and every test
+# make large    the test of 100,000 faces in 2048 x 2048 texels: minutes
 # make venv     .venv/bin/prt-bake and all that it needs, nothing more
 # make package  the extension's zips, one a platform, in dist/
 # make bench    run time against error beside the peers, into docs/benchmarks.md: some minutes;
@@ -19,13 +20,16 @@ export MESA_SHADER_CACHE_DIR ?= $(CURDIR)/.cache/mesa
 export OPENBLAS_NUM_THREADS ?= 1
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 
-.PHONY: demo test bench bench-full bench-packages venv lint format package wheels browser viewer real-blender clean
+.PHONY: demo test large bench bench-full bench-packages venv lint format package wheels browser viewer real-blender clean
 
 demo: venv
 	python tools/demo.py
 
 test: lint wheels $(VALIDATOR) $(VIEWER) browser
 	pytest
+
+large: venv
+	PRT_LARGE=1 pytest -rP tests/blender/test_large_textures.py
 
 bench: bench-packages
 	python benchmarks/page.py

@@ -279,6 +279,7 @@ def painted(
         values = layouts.pack(layout, layouts.at_points(result))
         image[result.in_atlas.texels] = values[:, : len(names)]
         known[result.in_atlas.texels] = True
+        yield
     square = image.reshape(sheet.size, sheet.size, -1)
     yield from push_pull(square, known.reshape(sheet.size, sheet.size))
     return Atlas(

@@ -17,6 +17,7 @@ from .places import Array, Mesh
 
 FEWEST = 16  # rays of a place
 PIECE = 1 << 16  # places that are found together
+GLANCES = 1 << 14  # places that are looked at together
 RECORDS = 1 << 19  # texels of which each place that was traced is kept; of more, every second one
 NONE = np.zeros(0, np.int64)
 NOWHERE = Places(NONE, np.zeros((0, 3)))
@@ -117,7 +118,7 @@ class Tracer(Caster):
     def glance(self, places: Places) -> Generator[int, None, Mask]:
         """Which ``places`` (M,) are buried, from a few rays each.  Yields the rays cast so far."""
         hidden = np.zeros(len(places), bool)
-        for some in _pieces(len(places)):
+        for some in _pieces(len(places), GLANCES):
             origins, normals = self.mesh.starts(places[some])
             dark = np.zeros((len(origins), 1), np.float32)
             hidden[some] = buried(origins, normals, dark, self._occlusion)
@@ -170,5 +171,5 @@ class Tracer(Caster):
         return np.concatenate(out), joined(places)
 
 
-def _pieces(count: int) -> list[slice]:
-    return [slice(first, first + PIECE) for first in range(0, count, PIECE)]
+def _pieces(count: int, size: int = PIECE) -> list[slice]:
+    return [slice(first, first + size) for first in range(0, count, size)]
