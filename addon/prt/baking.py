@@ -5,13 +5,12 @@ from collections import Counter
 from collections.abc import Generator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from .bounces.hits import Gathered, Recorder
-from .bounces.keeper import Keeper, keep, retrace
+from .bounces.keeper import Keeper, keep, retrace, shown_of
 from .bounces.sources import channels_of
 from .cache import Cache, Keys
 from .cache import Entry as Kept
@@ -25,9 +24,13 @@ from .tape import PlaceTape, Remembered, Tape
 from .tracing.rays import Geometry, occlusion
 from .tracing.surroundings import Surroundings
 from .tracing.tolerance import FALL, Effort, effort, estimate_error
-from .tracing.transfer import CAST, MAP_RAYS, Counts, Look, Shortcuts, trace_all
+from .tracing.transfer import CAST, MAP_RAYS, Counts, Shortcuts, trace_all
 from .vertex.solver import Solved, pilot_error, solve
 from .vertex.traced import Found
+
+if TYPE_CHECKING:
+    from .bounces.hits import Gathered
+    from .tracing.looking import Look
 
 Array = npt.NDArray[np.float32]
 Entry = dict[str, Any]
@@ -239,28 +242,24 @@ class Bake(ABC, Generic[What]):
         bits, known = self._tape.visibility(origins, normals, rays)
         places = Points(origins, normals, np.empty(0, np.int32))
         recorder = self._keeper.recorder() if self._keeper and not self._tape.known else None
+        shortcuts = replace(self._shortcuts, shown=shown_of(rays) if self._keeper else 1)
         self._counts += yield from trace_all(
             places,
             self._occlusion,
             replace(self._settings, rays=rays),
             values,
-            shortcuts=replace(self._shortcuts, bits=bits, known=known, look=self._look or recorder),
+            shortcuts=replace(shortcuts, bits=bits, known=known, look=self._look or recorder),
             gather=gather,
             visibility_order=visibility_order,
             azimuth=azimuth,
         )
-        self._keep(places, rays, recorder)
+        if self._keeper is not None and isinstance(self._tape, Tape):
+            settings = replace(self._settings, rays=rays)
+            again = retrace(places, self._occlusion, settings, shortcuts)
+            self.met.append(keep(self._keeper, self._tape, recorder, len(origins), again))
         if world is not None:
             world.leave_residuals(values, coefficients)
         return values
-
-    def _keep(self, places: Points, rays: int, recorder: Recorder | None) -> None:
-        """Keep what the rays of ``places`` met, or what they did when the tape was recorded."""
-        if self._keeper is not None and isinstance(self._tape, Tape):
-            settings = replace(self._settings, rays=rays)
-            again = retrace(places, self._occlusion, settings, self._shortcuts)
-            count = len(places.origins)
-            self.met.append(keep(self._keeper, self._tape, recorder, count, rays, again))
 
     def _estimate(self, solved: Found) -> None:
         """The error at the traced places, pooled: found for those with the most usual number of

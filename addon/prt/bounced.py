@@ -29,7 +29,7 @@ from .bands import exit_radiance
 from .bounces.entries import Entries
 from .bounces.hits import Gathered, Leaving
 from .bounces.keeper import Keeper, keep, retrace
-from .bounces.sources import Sources, entry_albedo
+from .bounces.sources import Sources
 from .bounces.unbaked import ROUNDS, Unbaked
 from .digests import add_array
 from .job import ALL, RECEIVER_ARRAYS, Job, Progress
@@ -172,7 +172,7 @@ class Bounces:
             recorder = self._keeper.recorder()
             yield from scene.meter.follow("bounces", again(recorder), 0, 1)
             count = len(places.origins)
-            its = self._keeper.taken(recorder, count, settings.rays, again)
+            its = self._keeper.taken(recorder, count, again)
             _mark(used, [its], np.zeros(count, bool))
         return used
 
@@ -218,7 +218,7 @@ class Bounces:
         if not look:
             return values, None, counts
         again = retrace(places, occlusion, settings, Shortcuts())
-        return values, keep(self._keeper, self._tape, recorder, len(values), rays, again), counts
+        return values, keep(self._keeper, self._tape, recorder, len(values), again), counts
 
     def follow(self) -> Generator[Progress, None, tuple[Sources, Array]]:
         """Follow the light from bounce to bounce, and add up what arrives at the places that were
@@ -239,7 +239,8 @@ class Bounces:
             values = np.zeros_like(values)
             for index, one in enumerate(self._direct):
                 found = np.empty_like(self._found[index])
-                yield from self._gather(one.work.met, table, sources, found)
+                hidden = _hidden(one.solved.traced.values)
+                yield from self._gather(one.work.met, table, sources, hidden, found)
                 self._found[index] += found
                 values[one.nodes] = one.solved.projection.rough(found)
             yield from self._gather_unbaked(table, sources, values)
@@ -258,13 +259,14 @@ class Bounces:
         return rest < (self._settings.tolerance or LEFT)
 
     def _gather(
-        self, met: Sequence[Gathered], table: Array, sources: Sources, out: Array
+        self, met: Sequence[Gathered], table: Array, sources: Sources, hidden: Array, out: Array
     ) -> Generator[Progress, None, None]:
-        """Fill ``out`` (M, K) for places whose rays ``met`` something, one part after the other."""
+        """Fill ``out`` (M, K) for places of whose rays a share ``hidden`` (M,) ``met`` something,
+        one part after the other."""
         before = 0
         for part in met:
-            rows = out[before : before + part.count]
-            steps = part.gather(table, sources.of_entries, rows)
+            rows = slice(before, before + part.count)
+            steps = part.gather(table, sources.of_entries, hidden[rows], out[rows])
             yield from self._scene.meter.follow("bounces", steps, 0, 1)
             before += part.count
 
@@ -276,15 +278,14 @@ class Bounces:
         for met, direct in zip(self._unbaked.gathered, self._unbaked.values, strict=True):
             rows = values[before : before + len(direct)]
             if met is not None:
-                yield from self._gather([met], table, sources, rows)
+                yield from self._gather([met], table, sources, _hidden(direct), rows)
             before += len(direct)
 
     def _sources(self) -> Sources:
         """What the entries that rays end at are."""
-        triangles, barycentric = self._entries.places(self._used)
-        albedo = entry_albedo(np.asarray(self._scene.job.occluder_albedo), triangles, barycentric)
-        if albedo.shape[1] < self._channels:
-            albedo = np.repeat(albedo, self._channels, axis=1)
+        albedo = self._entries.albedo(self._used, np.asarray(self._scene.job.occluder_albedo))
+        if self._channels == 1:
+            albedo = albedo.mean(axis=1, keepdims=True)
         return Sources.of(self._unbaked.nodes, self._used, albedo)
 
     def _arriving(self) -> Array:
@@ -380,10 +381,16 @@ def _mark(used: npt.NDArray[np.bool_], met: Sequence[Gathered], unseen: Any) -> 
     before = 0
     for part in met:
         hidden = unseen[before : before + part.count]
-        for numbers, counts, entries in part.entries():
-            seen = ~np.repeat(hidden[numbers], counts) if hidden.any() else slice(None)
-            used[entries[seen]] = True
+        for numbers, entries in part.entries():
+            its = entries[~hidden[numbers]] if hidden.any() else entries
+            used[its[its >= 0]] = True
         before += part.count
+
+
+def _hidden(values: Array) -> Array:
+    """The share (M,) of the rays of places that meets something, by the ``values`` (M, K) that were
+    found there: the first coefficient counts the rays that reach the sky."""
+    return np.asarray(np.clip(1 - values[:, 0] / np.float32(OPEN), 0, 1))
 
 
 def _rms(values: Array) -> float:

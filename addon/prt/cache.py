@@ -27,7 +27,7 @@ from .job import RECEIVER_ARRAYS, Array, Job, light_digest
 What = Literal["result", "visibility", "pilot"]
 
 LIMIT_BYTES = 2 << 30
-MAGIC = b"PRT Baker's cache, entry of version 1\n"
+MAGIC = b"PRT Baker's cache, entry of version 2\n"
 SUFFIX, UNFINISHED = ".prt", ".tmp"
 ABANDONED_SECONDS = 3600.0  # an unfinished file this old is left from a process that was killed
 ALIGNMENT = 64

@@ -13,7 +13,7 @@ from prt_baker.addon.prt.light import lat_long
 from prt_baker.addon.prt.light.projection import world_sh
 from prt_baker.addon.prt.run import run
 from prt_baker.addon.prt.surface.points import distinct_points
-from prt_baker.addon.prt.tracing import rays
+from prt_baker.addon.prt.tracing import rays, transfer
 from prt_baker.addon.prt.tracing.hemisphere import cosine_fibonacci, frames
 from test_baking import sky
 from test_run import finish
@@ -334,3 +334,24 @@ def test_another_light_costs_rays_towards_its_map_alone_where_things_stand_by(ro
     assert first["unbaked_places"] == other["unbaked_places"] > 0
     assert other["rays"] == other["map_rays"]
     assert other["unbaked_rays"] < 0.8 * first["unbaked_rays"]
+
+
+def test_the_size_of_batches_changes_nothing(monkeypatch):
+    job = well_job(0, [0.8, 0.5, 0.2], bounces=2, rays=64)
+    whole = baked(job)
+    monkeypatch.setattr(transfer, "BATCH_RAYS", 4096)
+    np.testing.assert_array_equal(baked(job).receivers[0].transfer, whole.receivers[0].transfer)
+
+
+def test_a_finely_cut_floor_takes_no_more_places_than_a_coarse_one():
+    ball = shapes.sphere(32, 64, 0.5)
+    body = shapes.receiver(*ball, name="ball")
+    found = []
+    for count in (48, 160):
+        floor = shapes.grid([-1.5, -1.5, -0.6], [3, 0, 0], [0, 3, 0], count)
+        vertices, triangles = shapes.join(ball[:2], floor)
+        found.append(baked(job_of((body,), vertices, triangles, 0.8, bounces=2)))
+    places = [results.report["objects"][0]["unbaked_places"] for results in found]
+    assert 0 < places[1] < 1.2 * places[0]
+    coarse, fine = (results.receivers[0].transfer for results in found)
+    assert relative_rms(fine, coarse) < 0.01

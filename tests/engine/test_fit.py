@@ -87,10 +87,11 @@ def test_the_solver_agrees_with_a_dense_one():
     values = np.random.default_rng(1).normal(size=(900, 3)).astype(np.float32)
     data = fit_mesh.sample_form(mesh, places, areas)
     jumps = fit_mesh.jump_form(mesh, np.full(len(mesh.hinges), 0.3))
-    right = fit_mesh.right_side(mesh, places, areas, values)
+    spread = fit_mesh.Spread(mesh, places, areas)
+    right = spread.sums(values)
     system = fit.System(mesh)
     system.set(data, jumps)
-    found = system.solve(right, fit_mesh.lumped(mesh, places, areas, right), 1e-5)
+    found = system.solve(right, spread.averages(right), 1e-5)
     expected = np.linalg.solve(dense(mesh, data) + dense(mesh, jumps), right)
     np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
 

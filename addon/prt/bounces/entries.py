@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from ..job import Job
 from ..surface.points import Points, element_triangles
+from ..tracing.rays import Met
 
 Index = npt.NDArray[np.int64]
 Entry = npt.NDArray[np.int32]
@@ -35,12 +36,13 @@ MIXERS = np.array([0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 class Entries:
     """``first`` (F,) is the first entry of each triangle, ``levels`` (F,) the rows of its cells, 0
     where its corners are entries, and ``points`` (count,) the points that front entries are: points
-    of all receivers in a row, -1 for the cells."""
+    of all receivers in a row, -1 for the cells, which are at most about ``side`` wide."""
 
     first: Entry
     levels: Entry
     points: Entry
     count: int
+    side: float = 1.0
 
     @classmethod
     def of(cls, job: Job, points: Sequence[Points]) -> "Entries":
@@ -49,7 +51,8 @@ class Entries:
         triangles = np.asarray(job.occluder_triangles)
         at_corners = _points_at_corners(job, points)
         baked = (at_corners >= 0).all(axis=1)
-        levels = np.where(baked, 0, _rows_of_cells(job)).astype(np.int32)
+        side = _cell_side(job)
+        levels = np.where(baked, 0, _rows_of_cells(job, side)).astype(np.int32)
         sizes = np.where(baked, 3, levels.astype(np.int64) ** 2)
         first = np.concatenate([[0], np.cumsum(sizes)])
         count = int(first[-1])
@@ -59,33 +62,54 @@ class Entries:
             count = int(first[-1])
         of_entries = np.full(count, -1, np.int32)
         of_entries[first[:-1][baked][:, None] + np.arange(3)] = at_corners[baked]
-        return cls(first[: len(triangles)].astype(np.int32), levels, of_entries, count)
+        return cls(first[: len(triangles)].astype(np.int32), levels, of_entries, count, side)
 
     @cached_property
     def has_cells(self) -> bool:
         """Whether anything is not baked."""
         return bool(self.levels.any())
 
-    def drawn(self, triangles: Entry, u: Array, v: Array, random: Array) -> Entry:
-        """The front entries of rays that hit ``triangles`` (R,) at ``u`` and ``v`` (R,), the shares
-        of their second and third corners; ``random`` (R,) in [0, 1) draws the corner."""
-        found = self.first.take(triangles)
-        left = 1 - v
-        corner = (random >= left).astype(np.int32)
-        corner += random >= left - u
-        if not self.has_cells:
-            return found + corner
-        level = self.levels.take(triangles)
-        return found + np.where(level > 0, _cell(np.maximum(level, 1), u, v), corner)
+    @cached_property
+    def _triangles(self) -> Entry:
+        """That of each front entry (count,)."""
+        sizes = np.diff(self.first, append=self.count)
+        return np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
+
+    def albedo(self, entries: Index, of_corners: Array) -> Array:
+        """The albedo (E, 3) of ``entries`` (E,), ``of_corners`` (F, 3, 3) being that of the
+        triangles' corners: a corner's own, interpolated in the middle of a cell."""
+        front = entries % self.count
+        triangles = self._triangles[front]
+        corner = front - self.first[triangles]
+        cells = np.flatnonzero(self.levels[triangles]) if self.has_cells else corner[:0]
+        corner[cells] = 0
+        found = of_corners.reshape(-1, 3)[3 * triangles.astype(np.int64) + corner]
+        if len(cells):
+            its, barycentric = self.places(entries[cells])
+            found[cells] = np.einsum("ek,ekc->ec", barycentric, of_corners[its])
+        return np.asarray(found.clip(0, 1), np.float32)
+
+    def drawn(self, met: Met, random: Array) -> Entry:
+        """The front entries (R,) of rays that ``met`` something, any number where they did not;
+        ``random`` (R,) in [0, 1) draws the corner."""
+        found = self.first.take(met.triangles, mode="clip")
+        left = 1 - met.v
+        corner = (random >= left).view(np.int8)
+        left -= met.u
+        corner += (random >= left).view(np.int8)
+        if self.has_cells:
+            level = self.levels.take(met.triangles, mode="clip")
+            cells = np.flatnonzero(level)
+            corner[cells] = 0
+            found[cells] += _cell(level[cells], met.u[cells], met.v[cells])
+        found += corner
+        return found
 
     def places(self, entries: Index, towards: int | None = None) -> tuple[Index, Float]:
         """The triangles (E,) and barycentric coordinates (E, 3) in the middle of ``entries``; of
         those that are cells, most of the way from there ``towards`` one of their three corners."""
         front = entries % self.count
-        if self.has_cells:
-            triangles = np.searchsorted(self.first, front, side="right") - 1
-        else:
-            triangles = front // 3
+        triangles = self._triangles[front].astype(np.int64)
         within, level = front - self.first[triangles], self.levels[triangles]
         n = np.maximum(level, 1).astype(np.int64)
         row = n - np.ceil(np.sqrt(np.maximum(n * n - within, 0))).astype(np.int64)
@@ -114,16 +138,20 @@ def _cell(level: Entry, u: Array, v: Array) -> Entry:
     return np.asarray(row * (2 * level - row) + 2 * column + upper, np.int32)
 
 
-def _rows_of_cells(job: Job) -> Index:
-    """How many rows of cells each occluder triangle (F,) has."""
+def _rows_of_cells(job: Job, side: float) -> Index:
+    """How many rows of cells, ``side`` wide at most, each occluder triangle (F,) has."""
     vertices = np.asarray(job.occluder_vertices, np.float64)
     corners = vertices[np.asarray(job.occluder_triangles)]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.sqrt(np.linalg.norm(cross, axis=1))  # the side of a square of twice its area
+    return np.clip(np.ceil(size / side), 1, MOST_ROWS).astype(np.int64)
+
+
+def _cell_side(job: Job) -> float:
+    """How wide a cell is at most."""
     bounds = [e for r in job.receivers for e in (r.vertices.min(axis=0), r.vertices.max(axis=0))]
     extent = float(np.ptp(np.array(bounds, np.float64), axis=0).max()) if bounds else 1.0
-    rows = np.ceil(size / max(CELL * extent, 1e-30))
-    return np.clip(rows, 1, MOST_ROWS).astype(np.int64)
+    return max(CELL * extent, 1e-30)
 
 
 def _points_at_corners(job: Job, points: Sequence[Points]) -> Index:
@@ -154,18 +182,18 @@ def _points_at_corners(job: Job, points: Sequence[Points]) -> Index:
 def _place_keys(vertices: npt.NDArray[Any]) -> Keys:
     """A number (V,) for the place of each of ``vertices`` (V, 3)."""
     bits = (np.asarray(vertices, np.float32) + np.float32(0)).view(np.uint32)  # 0 is not -0
-    return _mixed(bits.astype(np.uint64).T)
+    return mixed(bits.astype(np.uint64).T)
 
 
 def _triangle_keys(corners: Keys) -> tuple[Keys, Index]:
     """A number (F,) for each triangle whose corners have the numbers ``corners`` (F, 3), whichever
     of them comes first; and the order (F, 3) of the corners from the one that is first here."""
     turned = (corners.argmin(axis=1)[:, None] + np.arange(3)) % 3
-    return _mixed(np.take_along_axis(corners, turned, axis=1).T), turned
+    return mixed(np.take_along_axis(corners, turned, axis=1).T), turned
 
 
-def _mixed(columns: Keys) -> Keys:
-    """One number (N,) for each of ``columns`` (3, N), as splitmix64 does it."""
+def mixed(columns: Keys) -> Keys:
+    """One number (N,) for each of ``columns`` (C, N), as splitmix64 does it."""
     mixed = np.zeros(columns.shape[1], np.uint64)
     for column in columns:
         mixed = (mixed ^ column) * MIXERS[0]

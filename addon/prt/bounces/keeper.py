@@ -9,13 +9,16 @@ import numpy.typing as npt
 
 from ..job import Settings
 from ..surface.points import Points
+from ..tracing.looking import Look
 from ..tracing.rays import Geometry, Occlusion
-from ..tracing.transfer import Counts, Look, Shortcuts, trace_all
+from ..tracing.transfer import Counts, Shortcuts, trace_all
 from .entries import Entries
 from .hits import Again, Budget, Chunk, Gathered, Kept, Meeting, Recorder, split
 
 Array = npt.NDArray[np.float32]
 Retrace = Callable[[Look], Generator[int, None, None]]
+
+SHOWN, ENOUGH = 2, 32  # of so many rays one is looked at, as long as these are enough of a place
 
 
 def retrace(
@@ -26,13 +29,21 @@ def retrace(
 
     def trace(look: Look) -> Generator[int, None, None]:
         scratch = np.empty((len(places.origins), 1), np.float32)
-        anew = Shortcuts(shortcuts.horizon, look=look)
+        anew = Shortcuts(shortcuts.horizon, look=look, shown=shortcuts.shown)
         yield from trace_all(places, occlusion, coarse, scratch, shortcuts=anew)
 
     return trace
 
 
-HITS = ("numbers", "counts", "entries")
+def shown_of(rays: int) -> int:
+    """Of how many rays of a point that has ``rays`` one is looked at: what arrives from other
+    surfaces changes less from direction to direction than what reaches the sky, and to find where
+    a ray ends takes longer than to find that it ends.  One of four would save little more, and the
+    noise of all light together would be a fifth larger instead of a twenty-fifth."""
+    return SHOWN if rays >= SHOWN * ENOUGH else 1
+
+
+HITS = ("numbers", "others", "entries", "local")
 
 
 class Memory(Protocol):
@@ -81,31 +92,26 @@ class Keeper:
         """A Look for the rays of some places."""
         return Recorder(self.meeting, self._budget)
 
-    def taken(self, recorder: Recorder, count: int, rays: int, trace: Retrace) -> Gathered:
+    def taken(self, recorder: Recorder, count: int, trace: Retrace) -> Gathered:
         """What ``recorder`` saw of ``count`` places, which ``trace`` traces again where that was
         too much to be kept."""
         chunks = recorder.chunks()
         if chunks is None:
-            return Again(count, rays, trace, self.meeting)
-        return Kept(count, rays, self._threads, chunks)
+            return Again(count, trace, self.meeting)
+        return Kept(count, self._threads, chunks)
 
-    def remembered(self, count: int, rays: int, hits: Chunk) -> Kept:
+    def remembered(self, count: int, hits: Chunk) -> Kept:
         """What was kept of ``count`` places on a tape."""
-        return Kept(count, rays, self._threads, split(hits))
+        return Kept(count, self._threads, split(hits))
 
 
-def keep(  # noqa: PLR0917 - all of a trace
-    keeper: Keeper,
-    memory: Memory,
-    recorder: Recorder | None,
-    count: int,
-    rays: int,
-    again: Retrace,
+def keep(
+    keeper: Keeper, memory: Memory, recorder: Recorder | None, count: int, again: Retrace
 ) -> Gathered:
     """What ``recorder`` saw of ``count`` places, or, where ``memory`` is known, what was seen when
     it was filled."""
     if recorder is None:
-        return keeper.remembered(count, rays, Chunk(*memory.recall(HITS)))
-    met = keeper.taken(recorder, count, rays, again)
+        return keeper.remembered(count, Chunk(*memory.recall(HITS)))
+    met = keeper.taken(recorder, count, again)
     memory.keep(recorder.arrays())
     return met

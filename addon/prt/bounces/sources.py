@@ -21,20 +21,11 @@ def channels_of(albedo: Array) -> int:
     return 3 if spread > COLOURED else 1
 
 
-def entry_albedo(albedo: Array, triangles: Index, barycentric: npt.NDArray[np.float64]) -> Array:
-    """The albedo (E, 1 or 3) of entries whose middles are at ``barycentric`` (E, 3) of
-    ``triangles`` (E,): that of a corner at a corner's entry, interpolated in a cell."""
-    at_corner = barycentric.max(axis=1) > 0.6
-    weights = np.where(at_corner[:, None], barycentric > 0.6, barycentric)
-    found = np.einsum("ek,ekc->ec", weights, albedo[triangles]).clip(0, 1).astype(np.float32)
-    return np.asarray(found if channels_of(albedo) == 3 else found.mean(axis=1, keepdims=True))
-
-
 @dataclass(frozen=True)
 class Sources:
     """Pairs of a node, which is a place whose light is known, and an albedo there: ``nodes`` (S,),
-    ``albedo`` (S, 1 or 3).  ``of_entries`` (2 count,) is the source of each entry, S where it is
-    black."""
+    ``albedo`` (S, 1 or 3).  ``of_entries`` (2 count + 1,) is the source of each entry, S where it
+    is black; the last one stands for the sky."""
 
     nodes: Index
     albedo: Array
@@ -51,7 +42,7 @@ class Sources:
         first, number = _numbered(
             nodes[used].astype(np.int64) * (colours.max(initial=0) + 1) + colours
         )
-        of_entries = np.full(len(nodes), len(first), np.int32)
+        of_entries = np.full(len(nodes) + 1, len(first), np.int32)
         of_entries[used] = number
         return cls(nodes[used[first]].astype(np.int64), albedo[first], of_entries)
 

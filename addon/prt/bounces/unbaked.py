@@ -1,7 +1,7 @@
 """Places on what rays meet and no receiver is: other objects, and the backs of open sheets.
 
-They are found in rounds.  The rays of the receivers end at some entries; places in the middle of
-those are traced, with fewer rays than a point has, since a ray sees many of them; and the rays of
+They are found in rounds.  The rays of the receivers end at some entries; a place in every patch of
+those is traced, with fewer rays than a point has, since a ray sees many of them; and the rays of
 these may end at more, which only light that bounces once more needs.
 """
 
@@ -18,12 +18,13 @@ from ..tracing.transfer import Counts
 from .entries import Entries
 from .hits import Gathered
 from .keeper import Trace
+from .patches import patches
 
 Array = npt.NDArray[np.float32]
 Index = npt.NDArray[np.int64]
 Float = npt.NDArray[np.float64]
 
-SHARE, FEWEST = 4, 32  # of a point's rays
+SHARE, FEWEST = 2, 32  # of a point's rays
 ROUNDS = 6  # what is found only after so many takes part in nothing
 
 
@@ -65,25 +66,30 @@ class Unbaked:
         new = used[self.nodes[used] < 0]
         if not len(new):
             return
-        points = self._seen_points(new)
+        its, side = self._points(new), self._entries.side
+        found = patches(its.origins.astype(np.float64), its.normals.astype(np.float64), side)
+        points = self._seen_points(new[found.middle], new[found.rim])
         order = morton_order(points.origins)
         places = Points(points.origins[order], points.normals[order], points.element_points)
         few = max(FEWEST, rays // SHARE)
         values, gathered, counts = yield from trace(places, few, not last)
-        self.nodes[new[order]] = self._first_node + self.places + np.arange(len(new))
+        numbers = np.empty(len(order), np.int64)
+        numbers[order] = self._first_node + self.places + np.arange(len(order))
+        self.nodes[new] = numbers[found.of_cells]
         self.values.append(values)
         self.gathered.append(gathered)
         self.counts += counts
 
-    def _seen_points(self, entries: Index) -> Points:
-        """As ``_points``, where a cell's middle lies inside of something from another place in it
-        that does not: beside a thin wall it would be dark."""
+    def _seen_points(self, entries: Index, others: Index) -> Points:
+        """As ``_points`` of ``entries`` (G,), where these lie inside of something from another
+        place in the patch that does not, in the entries ``others`` (G,) or nearer to a corner of
+        the cell: beside a thin wall it would be dark."""
         found = self._points(entries)
         hidden = np.flatnonzero(self._are_inside(found))
-        for corner in range(3):
+        for its_entries, towards in ((others, None), *((entries, k) for k in range(3))):
             if not len(hidden):
                 break
-            its = self._points(entries[hidden], corner)
+            its = self._points(its_entries[hidden], towards)
             inside = self._are_inside(its)
             seen = hidden[~inside]
             found.origins[seen], found.normals[seen] = its.origins[~inside], its.normals[~inside]

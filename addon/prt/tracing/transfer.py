@@ -20,8 +20,9 @@ from ..surface.points import Points
 from .confirm import confirmed, doubtful
 from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
 from .horizon import Horizon
+from .looking import Look, Shown, stride
 from .open_rays import Alike, OpenRays, turns
-from .rays import Mask, Occlusion
+from .rays import Occlusion
 from .visibility import VisibilitySet
 
 Array = npt.NDArray[np.float32]
@@ -71,15 +72,6 @@ class Gather(Protocol):
         ...
 
 
-class Look(Protocol):
-    """Looks where rays end, and not only whether they reach the sky."""
-
-    def __call__(self, numbers: Index, first: int, origins: Array, directions: Array) -> Mask:
-        """For the rays of points ``numbers`` (P,), all but the ``first`` ones of each, in a row as
-        ``origins`` and ``directions`` (P * (N - first), 3): CLEAR or BLOCKED, as a sky mask."""
-        ...
-
-
 @dataclass(frozen=True)
 class Shortcuts:
     """What a trace need not find out with rays.
@@ -88,7 +80,7 @@ class Shortcuts:
     ``pilot``-th ray of a point is traced first, and a point where all of them are blocked stops.
     ``bits`` (P, N / 8) is the visibility of every ray: read of points that are ``known`` (P,), else
     filled in.
-    ``look`` is shown every ray that is traced, and needs a ``pilot`` of 0.
+    ``look`` is shown one of every ``shown`` rays that are traced, and needs a ``pilot`` of 0.
     """
 
     horizon: Horizon | None = None
@@ -96,6 +88,7 @@ class Shortcuts:
     bits: Bits | None = None
     known: npt.NDArray[np.bool_] | None = None
     look: Look | None = None
+    shown: int = 1
 
 
 @dataclass(frozen=True)
@@ -148,9 +141,13 @@ class Tracer:
         self._seen_sh = VisibilitySet(settings.rays, visibility_order) if visibility_order else None
         self._shortcuts, self._gather = shortcuts, gather
         self._open = OpenRays(shortcuts.horizon, points, settings.rays)
-        first = np.arange(self.rays) % max(1, shortcuts.pilot) == 0
-        self._first_in_world = RaysInWorld(hemisphere.directions[first])
-        self._others_in_world = RaysInWorld(hemisphere.directions[~first])
+        self._ones_and_local = np.insert(self._local, 0, 1, axis=1)
+        step = max(1, shortcuts.shown if shortcuts.look else shortcuts.pilot)
+        first = step // 2 if shortcuts.look else 0
+        chosen = np.arange(self.rays) % step == first  # to be looked at, or cast before the others
+        self._chosen = chosen
+        self._chosen_in_world = RaysInWorld(hemisphere.directions[chosen])
+        self._others_in_world = RaysInWorld(hemisphere.directions[~chosen])
         self._buffers = threading.local()
 
     def pieces(self) -> list[slice]:
@@ -261,11 +258,11 @@ class Tracer:
         first = batch.open.first
         if first == self.rays:
             return 0
-        looked_at = self._shortcuts.look is not None
-        if looked_at or not batch.open.pays:
-            visible[:] = self._sky(
-                self._in_world, batch.origins, batch.matrices, first, batch.numbers
-            )
+        if self._shortcuts.look is not None:
+            self._look(self._shortcuts.look, batch, visible)
+            return visible.size
+        if not batch.open.pays:
+            visible[:] = self._sky(self._in_world, batch.origins, batch.matrices, first)
             return visible.size
         azimuth = self._azimuth_turns[batch.numbers]
         is_open = self._open.mask(batch.numbers, self._direction_turns, azimuth, first)
@@ -281,7 +278,7 @@ class Tracer:
     def _see_first(self, batch: _Few, visible: Array) -> Counts:
         """The first rays, and the others of the points where one of them is clear."""
         step = self._shortcuts.pilot
-        clear = self._sky(self._first_in_world, batch.origins, batch.matrices)
+        clear = self._sky(self._chosen_in_world, batch.origins, batch.matrices)
         visible[:, ::step] = clear
         is_alive = clear.any(axis=1)
         alive = np.flatnonzero(is_alive)
@@ -305,27 +302,38 @@ class Tracer:
         visible[row, ray] = confirmed(self._occlusion, batch.origins[row], directions)
         return len(row)
 
-    def _sky(
-        self,
-        in_world: RaysInWorld,
-        origins: Array,
-        matrices: Array,
-        first: int = 0,
-        numbers: Index | None = None,
-    ) -> Array:
-        """1 where the rays (P, N) of P points, but the ``first`` ones, reach the sky, else 0; where
-        the points' ``numbers`` (P,) are given all of their rays may be looked at."""
-        count = in_world.count - first
-        starts = self._array("origins", (len(origins) * count, 3))
-        directions = self._array("directions", (len(origins) * count, 3))
+    def _look(self, look: Look, batch: _Few, visible: Array) -> None:
+        """Those after the first that need no tracing, ``visible`` (P, N - first), of which some are
+        looked at."""
+        origins, matrices, first = batch.origins, batch.matrices, batch.open.first
+        its, count = self._chosen[first:], len(batch.numbers)
+        before = first - int(self._chosen[:first].sum())
+        others = np.zeros((count, 1, 4), np.float32)
+        if not its.all():
+            clear = self._sky(self._others_in_world, origins, matrices, before)
+            visible[:, stride(~its)] = clear
+            np.matmul((1 - clear)[:, None], self._ones_and_local[first:][~its], out=others)
+        if not its.any():
+            return
+        rays = first + np.flatnonzero(its)
+        some = self._rays(self._chosen_in_world, origins, matrices, first - before)
+        mask = look(Shown(batch.numbers, rays, self._local[rays], *some, others[:, 0]))
+        visible[:, stride(its)] = -mask.reshape(count, len(rays))
+
+    def _sky(self, in_world: RaysInWorld, origins: Array, matrices: Array, first: int = 0) -> Array:
+        """1 where the rays (P, N) of P points, but the ``first`` ones, reach the sky, else 0."""
+        mask = self._occlusion.sky_mask(*self._rays(in_world, origins, matrices, first))
+        return -mask.reshape(len(origins), in_world.count - first).astype(np.float32)
+
+    def _rays(
+        self, in_world: RaysInWorld, origins: Array, matrices: Array, first: int
+    ) -> tuple[Array, Array]:
+        """Where the rays (P, N) of P points, but the ``first`` ones, start and go, in a row."""
+        count = len(origins) * (in_world.count - first)
+        starts, directions = (self._array(n, (count, 3)) for n in ("origins", "directions"))
         in_world.origins(origins, starts, first)
         in_world.directions(matrices, directions, first)
-        look = self._shortcuts.look
-        if look is None or numbers is None:
-            mask = self._occlusion.sky_mask(starts, directions)
-        else:
-            mask = look(numbers, first, starts, directions)
-        return -mask.reshape(len(origins), count).astype(np.float32)
+        return starts, directions
 
     def _array(self, name: str, shape: tuple[int, int]) -> Array:
         """An array of this thread, its content whatever was in it."""

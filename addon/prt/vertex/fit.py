@@ -21,11 +21,10 @@ from .fit_mesh import (
     Array,
     Mesh,
     Quadratic,
+    Spread,
     excerpt,
     interpolated,
     jump_form,
-    lumped,
-    right_side,
     sample_form,
 )
 
@@ -202,12 +201,23 @@ class Fit:
         self._system.set(data, jumps)
         return self._system.solve(right, guess)
 
+    def again(self, values: Array) -> Array:
+        """As ``solve`` did last, for other ``values`` (S, K) of the same samples: less light, which
+        may be fitted less closely."""
+        right = self._spread.sums(values)
+        return self._system.solve(right, self._spread.averages(right), ROUGHLY)
+
+    def averages(self, values: Array) -> Array:
+        """Averages (P, K) about each point of other ``values`` (S, K) of the samples that were
+        fitted last."""
+        return self._spread.averages(self._spread.sums(values))
+
     def _sides(self, samples: Samples) -> tuple[Quadratic, Array, Array]:
         """The samples' form, the right side (P, K) that goes with it, and where to start (P, K)."""
-        places, areas, values = samples.places, samples.areas, samples.values
-        data = sample_form(self._mesh, places, areas)
-        sums = right_side(self._mesh, places, areas, values)
-        return data, sums, lumped(self._mesh, places, areas, sums)
+        self._spread = Spread(self._mesh, samples.places, samples.areas)
+        right = self._spread.sums(samples.values)
+        data = sample_form(self._mesh, samples.places, samples.areas)
+        return data, right, self._spread.averages(right)
 
     def judged(self, samples: Samples, weights: tuple[float, ...]) -> tuple[Float, Float]:
         """For each part (count,) the weight out of ``weights``, largest first, that predicts

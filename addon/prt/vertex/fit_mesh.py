@@ -2,6 +2,7 @@
 bend at the edges."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -155,60 +156,55 @@ def jump_form(mesh: Mesh, weights: Float) -> Quadratic:
     return Quadratic(diagonal, edges, energy * c * d)
 
 
-def right_side(mesh: Mesh, places: Places, weights: Float, values: Array) -> Array:
-    """What the form of the samples is to give (P, K): their weighted ``values`` (S, K) spread over
-    the corners of their triangles."""
-    corners = mesh.corners[places.triangles]
-    b = (weights[:, None] * places.barycentric).astype(np.float32)
-    order = np.argsort(corners.reshape(-1), kind="stable")
-    spread = (b[:, :, None] * values[:, None]).reshape(-1, values.shape[1])[order]
-    touched, first = np.unique(corners.reshape(-1)[order], return_index=True)
-    out = np.zeros((mesh.count, values.shape[1]), np.float32)
-    if len(touched):
-        out[touched] = np.add.reduceat(spread, first, axis=0)
-    return out
+class Spread:
+    """Samples at ``places`` (S,) with ``weights`` (S,), spread over the corners of their triangles.
+    All but their values is found once."""
 
+    def __init__(self, mesh: Mesh, places: Places, weights: Float) -> None:
+        self._mesh = mesh
+        corners = mesh.corners[places.triangles].reshape(-1)
+        shares = (weights[:, None] * places.barycentric).astype(np.float32)
+        order = np.argsort(corners, kind="stable")
+        self._samples, self._shares = order // 3, shares.reshape(-1, 1)[order]
+        self._touched, self._first = np.unique(corners[order], return_index=True)
+        total = self.sums(np.ones((len(places), 1), np.float32))
+        self._known = total[:, 0] > 0
+        self._total = np.where(total > 0, total, 1).astype(np.float32)
 
-def lumped(mesh: Mesh, places: Places, weights: Float, sums: Array) -> Array:
-    """Averages (P, K) of the samples about each point, ``sums`` being their right side (P, K); of
-    the neighbours' where it has none."""
-    ones = np.ones((len(places), 1), np.float32)
-    return _over(mesh, sums, right_side(mesh, places, weights, ones))
+    def sums(self, values: Array) -> Array:
+        """What the form of the samples is to give (P, K) where these are their ``values``
+        (S, K)."""
+        out = np.zeros((self._mesh.count, values.shape[1]), np.float32)
+        if len(self._touched):
+            spread = values.take(self._samples, axis=0)
+            spread *= self._shares
+            out[self._touched] = np.add.reduceat(spread, self._first, axis=0)
+        return out
 
+    def averages(self, sums: Array) -> Array:
+        """Averages (P, K) of the samples about each point, from their ``sums`` (P, K); of the
+        neighbours' where it has none."""
+        out: Array = sums / self._total
+        for rows, first, count, sources in self._rounds:
+            out[rows] = np.add.reduceat(out[sources], first, axis=0) / count
+        return out
 
-def averages(mesh: Mesh, places: Places, weights: Float, values: Array) -> Array:
-    """``lumped`` of ``values`` (S, K)."""
-    with_ones = np.concatenate([values, np.ones((len(values), 1), np.float32)], axis=1)
-    sums = right_side(mesh, places, weights, with_ones)
-    return _over(mesh, sums[:, :-1], sums[:, -1:])
-
-
-def _over(mesh: Mesh, sums: Array, total: Array) -> Array:
-    known = total[:, 0] > 0
-    total[~known] = 1
-    out: Array = sums / total
-    while not known.all():
-        fresh = _from_neighbours(mesh, known, out)
-        if not fresh.any():
-            break
-        known |= fresh
-    return out
-
-
-def _from_neighbours(
-    mesh: Mesh, known: npt.NDArray[np.bool_], values: Array
-) -> npt.NDArray[np.bool_]:
-    """Give unknown points beside known ones their mean; which ones got it."""
-    pairs = np.concatenate([mesh.edges, mesh.edges[:, ::-1]])
-    pairs = pairs[~known[pairs[:, 0]] & known[pairs[:, 1]]]
-    pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
-    rows, first, count = np.unique(pairs[:, 0], return_index=True, return_counts=True)
-    if len(rows):
-        sums = np.add.reduceat(values[pairs[:, 1]], first, axis=0)
-        values[rows] = sums / count[:, None].astype(np.float32)
-    fresh = np.zeros(len(known), bool)
-    fresh[rows] = True
-    return fresh
+    @cached_property
+    def _rounds(self) -> list[tuple[Index, Index, Array, Index]]:
+        """Points without samples that lie beside others, round by round: where the neighbours of
+        each begin among the ``sources``, and how many they are (R, 1)."""
+        known, found = self._known.copy(), []
+        pairs = np.concatenate([self._mesh.edges, self._mesh.edges[:, ::-1]])
+        while not known.all():
+            pairs = pairs[~known[pairs[:, 0]]]
+            ready = pairs[known[pairs[:, 1]]]
+            ready = ready[np.argsort(ready[:, 0], kind="stable")]
+            rows, first, count = np.unique(ready[:, 0], return_index=True, return_counts=True)
+            if not len(rows):
+                break
+            found.append((rows, first, count[:, None].astype(np.float32), ready[:, 1]))
+            known[rows] = True
+        return found
 
 
 def interpolated(mesh: Mesh, places: Places, values: Array) -> Array:

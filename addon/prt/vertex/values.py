@@ -29,15 +29,20 @@ class Errors:
 
 
 class Values:
-    """Turns what was traced into values of the points."""
+    """Turns what was traced into values of the points.
+
+    ``fitted`` (count,) are the parts whose values are fitted, and ``fit`` what fitted them, where
+    more that is found at the same places will be.
+    """
 
     def __init__(
         self, points: Points, parts: Parts, fitted: Mask, settings: Settings, noise: float
     ) -> None:
         self._parts, self._noise, self.fitted = parts, noise, fitted
         self._order, self.threads, self._points = settings.order, settings.threads, points
+        self._is_fitted_again = bool(settings.bounces)
         self._fit_errors = Errors(*np.zeros((3, parts.count)))
-        self.weights: Float = np.ones(parts.count)
+        self.fit: Fit | None = None
 
     @cached_property
     def _open(self) -> Array:
@@ -99,12 +104,12 @@ class Values:
         samples, dimmed = self._samples(traced)
         transfer = replace(samples, values=samples.values[:, :columns])
         weights, missed = self._best_weights(transfer)
-        self.weights = weights
         noise = traced.noisier * np.random.default_rng(0).standard_normal(len(samples.areas))
         columns_and_noise = [samples.values, noise[:, None].astype(np.float32)]
         samples = replace(samples, values=np.concatenate(columns_and_noise, axis=1))
         fit = Fit(mesh, parts.of_points, parts.count, self.threads)
         values = fit.solve(samples, weights)
+        self.fit = fit if self._is_fitted_again else None
         self._fit_errors = self._errors(traced, samples, missed, values[:, -1:])
         values[:, :columns] += dimmed
         values[:, 0] = np.maximum(values[:, 0], 0)
