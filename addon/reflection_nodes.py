@@ -19,7 +19,7 @@ from .node_maths import Maths, Socket
 from .prt.job import Peak
 from .prt.layout import Layout
 from .prt.light import residual
-from .prt.specular import occlusion, shading, sheet, table
+from .prt.specular import look_up, occlusion, shading, sheet, table
 from .prt.specular.sheet import Sheet
 
 INPUTS = (
@@ -126,7 +126,8 @@ def _view(tree: bpy.types.NodeTree, inputs: Inputs, image: bpy.types.Image) -> V
     a, b, share = make.parts(texels.colour())
     direction = make.mixed(mirrored, normal, make.scalar("MULTIPLY", share, bent))
     wider = make.scalar("MULTIPLY", make.scalar("SUBTRACT", texels.alpha(), 1.0), bent)
-    filtered = make.clamped(make.scalar("MULTIPLY_ADD", roughness, wider, roughness))
+    filtered = make.scalar("MULTIPLY_ADD", roughness, wider, roughness)
+    filtered = make.clamped(filtered, 0.0, look_up.ROUGHEST)
     direction = make.vector("NORMALIZE", direction)
     return View(normal, own, towards, n_v, roughness, (a, b), direction, filtered)
 
@@ -206,7 +207,8 @@ def lobe_factors(
 ) -> list[Socket]:
     """z_1 .. z_4 of the lobe that radiance is filtered with; z_0 is 1."""
     make, (width, height) = Maths(tree, 11), reflections.of(image).sheet.size
-    up = make.scalar("MULTIPLY_ADD", roughness, table.SIZE - 1.0, sheet.NODE - 0.5)
+    step = (table.SIZE - 1) / look_up.ROUGHEST
+    up = make.scalar("MULTIPLY_ADD", roughness, step, sheet.NODE - 0.5)
     row, part = make.scalar("FLOOR", up), make.scalar("FRACT", up)
     column = 1.5 * sheet.TILE / width
     reads = []

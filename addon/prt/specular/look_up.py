@@ -30,7 +30,8 @@ SIZE = 33  # nodes along each side of the file's grid
 FILE = Path(__file__).with_name("look_up.npy")
 GAUSS = 48  # see ``table.Lobe``
 STEPS = 600  # at which a potential is found
-ROUNDEST = 0.9995  # stands for an alpha of 1
+ROUGHEST = 2.0**0.25  # of the levels: the widest lobes are wider than a cosine
+NEAR_ONE = 1e-3  # the square of alpha stays so far from 1, where there is no formula
 MOST_BENT = 3.0  # s is at most so many r²
 RATIOS = (0.6, 1.25)  # between which q is
 LOWEST = 1e-4  # cosine to the viewer
@@ -52,7 +53,9 @@ class Potential:
     @classmethod
     def of(cls, roughness: float) -> "Potential":
         """By Gauss's law: the slope follows from how much of the lobe lies nearer to its middle."""
-        squared = min(roughness**2, ROUNDEST) ** 2
+        squared = roughness**4
+        if abs(1 - squared) < NEAR_ONE:
+            squared = 1 - NEAR_ONE
         rest = 1 - squared
         steps = np.linspace(0, np.log1p(0.5 / squared), STEPS)
         x = squared * np.expm1(steps)
@@ -82,7 +85,7 @@ def best(roughness: float, n_v: float) -> tuple[float, float]:
     weights = lobe.weights / lobe.weights.sum()
     s_v = float(np.sqrt(1 - n_v * n_v))
     ends = np.array([[0.0, min(1.0, MOST_BENT * roughness**2)], [*RATIOS]])
-    ends[1] = np.minimum(ends[1], 1 / roughness)
+    ends[1] = np.minimum(ends[1], ROUGHEST / roughness)
     middle, half = ends.mean(axis=1), 0.5 * np.diff(ends, axis=1)[:, 0]
     for _ in range(ROUNDS):
         tried = np.linspace(middle - half, middle + half, TRIED, axis=1)

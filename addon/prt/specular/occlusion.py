@@ -10,7 +10,7 @@ that is reflected.
 
 A sharp lobe asks where it points, and the visibility tells that.  A wide one asks for the light, as
 no share of the lobe says whether the sun stands before a wall or behind it.  At r = 1 the lobe is
-the cosine about the normal, so there the share is that of the diffuse light, which is baked.
+nearly the cosine about the normal, so there the share is that of the diffuse light, which is baked.
 """
 
 from functools import lru_cache

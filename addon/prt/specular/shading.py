@@ -69,5 +69,5 @@ def look_up(
     if bent:
         share, ratio = look_up_table.at(rough, facing[:, 0].clip(0, 1))
         mirrored = mirrored + share[:, None] * (normals - mirrored)
-        rough = np.minimum(rough * ratio, 1)
+        rough = np.minimum(rough * ratio, look_up_table.ROUGHEST)
     return np.asarray(mirrored / np.linalg.norm(mirrored, axis=1, keepdims=True)), rough

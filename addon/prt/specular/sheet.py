@@ -8,8 +8,8 @@ border between two levels shows.
 
 The left table holds A and B of the split sum, and s and q of the look-up, as red, green, blue and
 alpha over sqrt(n_v), to the right, and the roughness, up.
-The right one holds, over the roughness alone, ``(1 + z_l) / 2`` of the lobe's zonal factors l = 1
-.. 4 as red, green, blue and alpha.
+The right one holds, over the roughness alone, up to that of the last level, ``(1 + z_l) / 2`` of
+the lobe's zonal factors l = 1 .. 4 as red, green, blue and alpha.
 """
 
 from collections.abc import Generator, Mapping
@@ -25,10 +25,10 @@ from . import brdf, look_up, prefilter, reads, table
 Array = npt.NDArray[np.float32]
 Float = npt.NDArray[np.float64]
 
-CELLS = 15  # filtered levels; one more cell of the four by four is empty
+CELLS = 16  # filtered levels
 COLUMNS = 4
-SHARPEST = 2.0**-3.5  # the roughness of the first
 A_DOUBLING = 4  # so many levels on the roughness is twice as large
+SHARPEST = look_up.ROUGHEST * 2.0 ** (-(CELLS - 1) / A_DOUBLING)  # the roughness of the first
 ROUGHNESSES = SHARPEST * 2.0 ** (np.arange(CELLS) / A_DOUBLING)
 GUTTER = (4, 2)  # texels left and right, above and below
 CELL = (512, 256)  # with its gutters
@@ -171,7 +171,7 @@ def _tables() -> Array:
     """The strip (TILE, 2 TILE, 4)."""
     nodes = np.empty((2, table.SIZE, table.SIZE, 4))
     nodes[0] = np.concatenate([table.load(), look_up.load()], axis=2)
-    factors = zonal_factors(np.linspace(0, 1, table.SIZE))[:, 1:]
+    factors = zonal_factors(np.linspace(0, look_up.ROUGHEST, table.SIZE))[:, 1:]
     nodes[1] = 0.5 + 0.5 * factors[:, None]
     tiles = np.pad(nodes, ((0, 0), (2, 2), (2, 2), (0, 0)), mode="edge")
     return np.concatenate([*tiles], axis=1).astype(np.float32)
