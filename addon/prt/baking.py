@@ -71,7 +71,8 @@ class Scene:
             return self._whole.occlusion
         with self.meter.phase("acceleration structure"):
             job = self.job
-            return occlusion(job.occluder_vertices, job.occluder_triangles, self._rays())
+            threads, rays = job.settings.threads, self._rays()
+            return occlusion(job.occluder_vertices, job.occluder_triangles, rays, threads)
 
     @cached_property
     def channels(self) -> int:

@@ -12,10 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import BakeError
+from ..parallel import workers
 
 Vectors = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.int32]
 CLEAR, BLOCKED = -1, 0  # embreex's own codes
+PIECE = 8192  # rays
 FAST_PAYS = 120  # rays a triangle: what they save pays twice for the second structure
 
 
@@ -125,9 +127,13 @@ class Triangles:
     """
 
     def __init__(
-        self, vertices: npt.ArrayLike, triangles: npt.ArrayLike, fast: bool = False
+        self,
+        vertices: npt.ArrayLike,
+        triangles: npt.ArrayLike,
+        fast: bool = False,
+        threads: int = 0,
     ) -> None:
-        self._vertices, self._triangles = vertices, triangles
+        self._vertices, self._triangles, self._threads = vertices, triangles, threads
         self._scene = _embree_scene(vertices, triangles, robust=not fast)
         self._robust, self._building = None if fast else self, Lock()
 
@@ -140,7 +146,7 @@ class Triangles:
         """In Embree's robust mode."""
         with self._building:
             if self._robust is None:
-                self._robust = Triangles(self._vertices, self._triangles)
+                self._robust = Triangles(self._vertices, self._triangles, threads=self._threads)
             return self._robust
 
     def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:
@@ -149,10 +155,17 @@ class Triangles:
         return mask
 
     def meets_back(self, origins: Vectors, directions: Vectors) -> npt.NDArray[np.bool_]:
-        """From Embree's geometric normals of what is met first."""
-        met = self.first_met(origins, directions)
-        along = np.einsum("rc,rc->r", met.facing, directions)
-        return np.asarray((met.triangles >= 0) & (along > 0))
+        """From Embree's geometric normals of what is met first; in threads."""
+
+        def some(start: int) -> npt.NDArray[np.bool_]:
+            towards = directions[start : start + PIECE]
+            met = self.first_met(origins[start : start + PIECE], towards)
+            along = np.einsum("rc,rc->r", met.facing, towards)
+            return np.asarray((met.triangles >= 0) & (along > 0))
+
+        starts = range(0, len(directions), PIECE)
+        with workers(self._threads) as pool:
+            return np.concatenate([np.zeros(0, bool), *pool.map(some, starts)])
 
     def first_met(self, origins: Vectors, directions: Vectors) -> Met:
         """What Embree's intersection query finds; releases the interpreter's lock."""
@@ -186,12 +199,14 @@ def _embree_scene(vertices: npt.ArrayLike, triangles: npt.ArrayLike, robust: boo
 
 
 def occlusion(
-    vertices: npt.ArrayLike, triangles: npt.ArrayLike, expected_rays: float = 0
+    vertices: npt.ArrayLike, triangles: npt.ArrayLike, expected_rays: float = 0, threads: int = 0
 ) -> Geometry:
     """Embree over ``vertices`` (V, 3) and ``triangles`` (F, 3), in the mode that pays for so many
     rays; the open sky where F is 0."""
     count = len(np.asarray(triangles))
-    return Triangles(vertices, triangles, expected_rays > FAST_PAYS * count) if count else Sky()
+    if not count:
+        return Sky()
+    return Triangles(vertices, triangles, expected_rays > FAST_PAYS * count, threads)
 
 
 def version() -> str:
