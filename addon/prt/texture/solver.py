@@ -193,7 +193,9 @@ def _errors(
     places that are traced with many rays."""
     mesh, columns = tracer.mesh, settings.order**2
     count = int(np.clip(tracer.places * PROBE_SHARE, *PROBES)) * bool(len(values))
-    places = random_places(mesh.surface.areas, count, settings.seed) if count else NOWHERE
+    places = NOWHERE
+    if count:  # the first of always the same ones, so that another light's bake knows them
+        places = random_places(mesh.surface.areas, PROBES[1], settings.seed)[:count]
     noisier = tracer.mean_noisier()
     found, hidden = yield from tracer.follow(places, PROBE_RAYS)
     uvs = np.einsum("pk,pkc->pc", places.barycentric, mesh.layout.corners[places.triangles])
