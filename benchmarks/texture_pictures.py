@@ -48,7 +48,7 @@ def room() -> tuple[str, tuple[View, ...]]:
     views = (
         ((3.3, 0.4, 1.7), (1.4, 2.6, 0.6), 22),
         ((5.8, 0.3, 2.2), (3.75, 1.3, 0.3), 20),
-        ((2.6, 1.6, 0.9), (3.6, 3.3, 0.3), 22),
+        ((2.62, 1.6, 0.9), (3.6, 3.3, 0.3), 22),  # in no plane of a leg: Mesa draws such askew
     )
     return "Room", views
 
