@@ -70,13 +70,20 @@ def paths(target: Target, members: Sequence[Sequence[str]]) -> list[Path]:
         label = "" if len(names) > 1 or len(members) == 1 else " " + _plain(names[0])
         stem, number = f"{target.stem} PRT{label}", 1
         path = target.folder / (stem + SUFFIX)
-        while path.absolute() in taken:
+        while taken & {path.absolute(), _direct(path).absolute()}:
             number += 1
             path = target.folder / f"{stem} {number}{SUFFIX}"
         _check_ours(path)
-        taken.add(path.absolute())
+        taken |= {path.absolute(), _direct(path).absolute()}
         found.append(path)
     return found
+
+
+def direct_path(path: Path) -> Path:
+    """Where the atlas at ``path`` goes without light that bounced; BakeError where that is a file
+    of the artist's."""
+    _check_ours(_direct(path))
+    return _direct(path)
 
 
 def beside(path: Path, source: Path, files: Sequence[Path]) -> list[Path]:
@@ -127,6 +134,11 @@ def _shown() -> Iterator[tuple[bpy.types.Object, Path]]:
         path = path_of(image) if image is not None else None
         if path is not None:
             yield obj, path
+            yield obj, _direct(path)
+
+
+def _direct(path: Path) -> Path:
+    return path.with_name(f"{path.stem}_direct{path.suffix}")
 
 
 def _check_ours(path: Path) -> None:

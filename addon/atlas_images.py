@@ -12,6 +12,7 @@ from .prt.errors import BakeError
 from .prt.tiles import tile_grid
 
 TAG = "prt_atlas"
+DIRECT = "prt_direct"  # on an atlas: the image that has it without light that bounced
 Floats = npt.NDArray[np.float32]
 
 
@@ -89,7 +90,19 @@ def margin(image: bpy.types.Image) -> float:
     return atlas.margin / atlas.size if atlas else 0.0
 
 
+def both(image: bpy.types.Image) -> list[bpy.types.Image]:
+    """The atlas ``image``, and the one without light that bounced where that was kept."""
+    direct = image.get(DIRECT)
+    return [image] if direct is None else [image, direct]
+
+
+def set_direct(image: bpy.types.Image, direct: bpy.types.Image) -> None:
+    """Let ``direct`` be the atlas ``image`` without light that bounced."""
+    image[DIRECT] = direct
+
+
 def free_unused() -> None:
-    """Delete the atlases that nothing shows."""
-    for image in [image for image in bpy.data.images if TAG in image and not image.users]:
-        bpy.data.images.remove(image)
+    """Delete the atlases that nothing shows, and then what these alone had."""
+    while unused := [image for image in bpy.data.images if TAG in image and not image.users]:
+        for image in unused:
+            bpy.data.images.remove(image)

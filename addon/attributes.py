@@ -4,7 +4,7 @@ Nothing of the artist's changes with them: neither which attribute or UV map is 
 colour or UV map is shown or rendered.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import bpy
@@ -14,7 +14,8 @@ import numpy.typing as npt
 from . import carrier_nodes, uv_maps
 from .prt import layout as layouts
 from .prt.errors import BakeError
-from .prt.layout import PREFIX, Layout
+from .prt.layout import DIRECT, PREFIX, Layout
+from .prt.results import ReceiverResult
 from .stamp import Stamp
 
 Values = npt.NDArray[np.float32]
@@ -31,13 +32,24 @@ def names(mesh: bpy.types.Mesh) -> list[str]:
 
 def write(mesh: bpy.types.Mesh, layout: Layout, domain: str, values: Values) -> None:
     """Give ``mesh`` the values (E, 4 k) of ``layout``, instead of what was baked before."""
-    put(mesh, split(layout, domain, values))
+    put(mesh, split(layout.attributes, domain, values))
 
 
-def split(layout: Layout, domain: str, values: Values) -> Stored:
-    """The values (E, 4 k) of ``layout``, as ``put`` takes them."""
+def split(names: Sequence[str], domain: str, values: Values) -> Stored:
+    """The values (E, 4 k) of the attributes ``names``, as ``put`` takes them."""
     columns = values.reshape(len(values), -1, 4)
-    return {name: (domain, columns[:, k]) for k, name in enumerate(layout.attributes)}
+    return {name: (domain, columns[:, k]) for k, name in enumerate(names)}
+
+
+def of_result(result: ReceiverResult, layout: Layout, domain: str) -> Stored:
+    """What ``result`` has at every element, as ``put`` takes it: in ``layout``, and what was kept
+    without bounces."""
+    values = layouts.pack(layout, layouts.at_elements(result))
+    stored = split(layout.attributes, domain, values)
+    if result.direct is not None:
+        direct = layouts.pack(layout.direct, layouts.at_elements(result.direct))
+        stored |= split(layout.direct.called(DIRECT), domain, direct)
+    return stored
 
 
 def with_uvs(uvs: Values, mesh: bpy.types.Mesh) -> Stored:

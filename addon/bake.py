@@ -289,6 +289,7 @@ def _figures(
         "order": layout.order,
         "channels": layout.channels,
         "layout": layout.slots,
+        "direct": result.direct is not None,
         "job_hash": report["job_hash"],
         "points": entry["points"],
         "rays": round(entry.get("rays_per_point", report["settings"]["rays"])),

@@ -46,4 +46,10 @@ def settled(settings: jobs.Settings, most: Layout, *, reflects: bool) -> jobs.Se
         raise BakeError(
             "Peaks that bounce need Exact at This World: switch that on, or choose no peaks"
         )
-    return replace(settings, residual=residual, peaks=most.lights, reflections=reflects)
+    return replace(
+        settings,
+        residual=residual,
+        peaks=most.lights,
+        reflections=reflects,
+        keep_direct=settings.keep_direct and settings.bounces != 0,
+    )

@@ -18,7 +18,7 @@ COUNTS = {"POINT": "Point Count", "CORNER": "Face Corner Count"}
 
 def group(domain: str, names: Sequence[str]) -> bpy.types.NodeTree:
     """The group that stores the attributes ``names`` on ``domain``; all objects alike share it."""
-    key = json.dumps([domain, names if uv_maps.NAME in names else len(names)])
+    key = json.dumps([domain, names])
     for tree in bpy.data.node_groups:
         if tree.get(TAG) == key:
             return tree

@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 
 from . import (
+    atlas_images,
     default_surface,
     gltf_attributes,
     gltf_colors,
@@ -30,11 +31,12 @@ from . import (
 from .gltf_attributes import BASIS, BOUNCES, INCLUDES, VERSION
 from .prt import sh
 from .prt.job import Peak
-from .prt.layout import Layout
+from .prt.layout import DIRECT, Layout
 
 UNMOVED = 1e-5  # of the largest entry of a world matrix
 
 Settings = dict[str, Any]
+Kept = tuple[bpy.types.Object, str]  # and what the names of the attributes begin with
 
 REPORT: list[dict[str, Any]] = []  # of the last export: what compressing each bake has cost
 
@@ -59,8 +61,8 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         self._short = gltf_panel.wants_short(bpy.context.scene)
         self._error = gltf_panel.wanted_error(bpy.context.scene)
         self._ibl = gltf_ibl.Lights() if gltf_panel.wants_ibl(bpy.context.scene) else None
-        self._vertices: dict[bpy.types.Object, gltf_vertices.Vertices | None] = {}
-        self._codes: dict[bpy.types.Object, tuple[Any, float]] = {}  # and their error
+        self._vertices: dict[Kept, gltf_vertices.Vertices | None] = {}
+        self._codes: dict[Kept, tuple[Any, float]] = {}  # and their error
         REPORT.clear()
         self._artist: Settings = {}
         self._meshes: dict[tuple[int, str, bool], Any] = {}
@@ -221,22 +223,33 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
             return None
         binary = type(surfaces[0]["POSITION"].buffer_view)
         self._atlases = self._atlases or gltf_textures.Atlases(frame)
-        pictures = self._atlases.of(image, mark.packing, binary)
         for primitive in twin.primitives:
             primitive.attributes = gltf_attributes.bare(primitive.attributes)
-        shown = pictures.shown(_shown(mark.packing, self._shares[obj]), self._shares[obj])
-        return shown | {"texture": {"images": pictures.images, "texCoord": uv_map.index}}
+        share, found = self._shares[obj], []
+        for its, packing in zip(atlas_images.both(image), mark.sets.values(), strict=False):
+            if stale.of_its_bake(its) and 0 not in its.size and its.has_data:
+                pictures = self._atlases.of(its, packing, binary)
+                texture = {"images": pictures.images, "texCoord": uv_map.index}
+                found.append(pictures.shown(_shown(packing, share), share) | {"texture": texture})
+        return _with_direct(*found)
 
     def _on_vertices(self, twin: Any, obj: bpy.types.Object) -> dict[str, Any] | None:
         """Give ``twin`` the attributes of ``obj``, turned: what its extras say of them; None where
         they are gone."""
-        vertices = self._vertices.get(obj)
-        if vertices is None:
+        both = [self._vertices.get((obj, prefix)) for prefix in self._bakes[obj].sets]
+        if both[0] is None:
             return None
-        codes, error = self._codes.get(obj, (None, 0.0))
+        written = [self._written(obj, one) for one in both if one is not None]
+        gltf_vertices.write(twin.primitives, written)
+        return _with_direct(*(one.says for one in written))
+
+    def _written(
+        self, obj: bpy.types.Object, vertices: gltf_vertices.Vertices
+    ) -> gltf_vertices.Written:
+        codes, error = self._codes.get((obj, vertices.prefix), (None, 0.0))
         if codes is not None:
-            return gltf_vertices.write_coded(twin.primitives, vertices, codes, error)
-        return gltf_vertices.write(twin.primitives, vertices, self._short or self._error > 0)
+            return gltf_vertices.coded(vertices, codes, error)
+        return gltf_vertices.plain(vertices, self._short or self._error > 0)
 
     def _read_vertices(
         self, nodes: list[Any], matrices: Iterable[Any], light: Any, frame: Any
@@ -244,24 +257,31 @@ class glTF2ExportUserExtension:  # the exporter looks for this name
         """The bakes on vertices of ``nodes``, and their codes where such are wanted."""
         for node in nodes:
             obj, primitives = node.blender_object, node.node.mesh.primitives
-            if obj in matrices and not self._bakes[obj].in_atlas:
-                packing, share = self._bakes[obj].packing, self._shares[obj]
+            if obj not in matrices or self._bakes[obj].in_atlas:
+                continue
+            share = self._shares[obj]
+            for prefix, packing in self._bakes[obj].sets.items():
                 shown = _shown(packing, share)
-                read = gltf_vertices.read(primitives, packing, shown, share, frame)
-                self._vertices[obj] = read
-        found = {obj: read for obj, read in self._vertices.items() if read is not None}
+                read = gltf_vertices.read(primitives, packing, shown, share, frame, prefix)
+                self._vertices[obj, prefix] = read
+        found = {key: read for key, read in self._vertices.items() if read is not None}
         if not self._error:
             return
-        answers = gltf_vertices.coded(list(found.values()), light, frame, self._error)
-        for obj, (codes, report) in zip(found, answers, strict=True):
+        answers = gltf_vertices.codes_of(list(found.values()), light, frame, self._error)
+        for (obj, prefix), (codes, report) in zip(found, answers, strict=True):
             if codes is not None:
-                self._codes[obj] = codes, report["chosen"]["error"]
-            REPORT.append({"name": obj.name, **report})
+                self._codes[obj, prefix] = codes, report["chosen"]["error"]
+            REPORT.append({"name": obj.name, "direct": prefix == DIRECT, **report})
 
 
 def _shown(packing: Layout, share: float) -> Layout:
     """The layout of the file: without what belongs to another light than the file's."""
     return packing if share else replace(packing, turns=0, lights=0)
+
+
+def _with_direct(whole: dict[str, Any], direct: dict[str, Any] | None = None) -> dict[str, Any]:
+    """What the extras say of the ``whole``, and of what is kept without bounces."""
+    return whole if direct is None else whole | {"direct": direct}
 
 
 def _has_our_map(obj: bpy.types.Object | None) -> bool:

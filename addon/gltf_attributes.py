@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .prt.layout import PREFIX
+from .prt.layout import DIRECT, PREFIX
 
 Accessors = dict[str, Any]
 
@@ -25,8 +25,8 @@ LARGEST = 32767  # of a normalized SHORT, which stands for 1
 
 
 def is_ours(name: str) -> bool:
-    """Is ``name`` one of _PRT_0, _PRT_1, ..."""
-    return name.startswith(PREFIX) and name[len(PREFIX) :].isdigit()
+    """Is ``name`` one of _PRT_0, _PRT_1, ... or _PRT_DIRECT_0, ..."""
+    return name.removeprefix(DIRECT).isdigit() or name.removeprefix(PREFIX).isdigit()
 
 
 def bare(attributes: Accessors) -> Accessors:
@@ -42,14 +42,13 @@ def read(attributes: Accessors, names: Sequence[str]) -> npt.NDArray[np.float32]
     return np.concatenate([values_of(accessor) for accessor in accessors], axis=1)
 
 
-def replaced(attributes: Accessors, names: Sequence[str], stored: npt.NDArray[Any]) -> Accessors:
-    """``attributes`` with exactly ``names`` of ours, holding what is ``stored`` (E, 4 k), float32
-    or int16, which become normalized SHORT."""
-    ours = {
+def holding(attributes: Accessors, names: Sequence[str], stored: npt.NDArray[Any]) -> Accessors:
+    """Those of ``attributes`` that are called ``names``, holding what is ``stored`` (E, 4 k),
+    float32 or int16, which become normalized SHORT."""
+    return {
         name: _with_data(attributes[name], stored[:, 4 * k : 4 * k + 4])
         for k, name in enumerate(names)
     }
-    return bare(attributes) | ours
 
 
 def scale_of(parts: Iterable[npt.NDArray[np.float32]]) -> npt.NDArray[np.float64]:

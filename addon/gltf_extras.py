@@ -15,9 +15,10 @@ from .light_state import LightState
 from .prt import sh
 from .prt.errors import BakeError
 from .prt.job import LIGHT_ORDER, Peak
-from .prt.layout import Layout
+from .prt.layout import DIRECT, PREFIX, Layout
 
 IMAGE_KEY = "glTF"  # no image of this file's
+STORED = ("layout", "scale", "offset", "texture", "clusters", "direct")  # how floats are stored
 Float = npt.NDArray[np.float64]
 
 
@@ -28,7 +29,8 @@ class FileBake:
     ``offset`` (F) what is added then, and ``matrix`` (3, 3) the world matrix when baked, Z up.
     ``bounces`` is whether light of other surfaces is inside.  Of a bake in pictures ``images`` are
     their numbers, and they are read at TEXCOORD_``tex_coord``; one in ``clusters`` has the file's
-    floats in these."""
+    floats in these.  Names of its attributes begin with ``prefix``.  ``direct`` is the same without
+    bounces, where the file has that."""
 
     layout: Layout
     columns: tuple[int, ...]
@@ -39,12 +41,19 @@ class FileBake:
     images: tuple[int, ...] = ()
     tex_coord: int = 0
     clusters: "Clusters | None" = None
+    prefix: str = PREFIX
+    direct: "FileBake | None" = None
 
     @property
-    def count(self) -> int:
-        """How many attributes the file has."""
+    def attributes(self) -> tuple[str, ...]:
+        """What the file has of it."""
         floats = len(self.clusters.layout if self.clusters else self.scale)
-        return 0 if self.images else floats // 4
+        return tuple(f"{self.prefix}{k}" for k in range(0 if self.images else floats // 4))
+
+    @property
+    def both(self) -> tuple["FileBake", ...]:
+        """It, and the one without bounces where there is one."""
+        return (self,) if self.direct is None else (self, self.direct)
 
     def decoded(self, attributes: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """The file's floats (E, F), of what its attributes hold (E, 4 k)."""
@@ -112,8 +121,22 @@ def read_bake(prt: Any) -> FileBake:
     offset = _numbers(offset, (len(slots),), f"offset is not {len(slots)} numbers")
     bake = FileBake(layout, columns, scale, turned, includes != INCLUDES, offset)
     if "clusters" in prt:
-        return replace(bake, clusters=_clusters(prt["clusters"], len(slots)))
-    return bake if texture is None else _in_texture(bake, texture)
+        bake = replace(bake, clusters=_clusters(prt["clusters"], len(slots)))
+    bake = bake if texture is None else _in_texture(bake, texture)
+    return replace(bake, direct=_direct(prt, bake)) if "direct" in prt else bake
+
+
+def _direct(prt: Mapping[str, Any], whole: FileBake) -> FileBake:
+    """What ``prt`` says of the same without bounces."""
+    says = prt["direct"]
+    _check(whole.bounces, "it has direct light apart, and no bounces")
+    _check(isinstance(says, Mapping), "direct says nothing")
+    common = {key: value for key, value in prt.items() if key not in STORED}
+    bake = read_bake({**common, "channels": 1, "includes": INCLUDES, **says})
+    _check(bake.layout == whole.layout.direct, "direct has another layout than without bounces")
+    places = {(bool(its.images), its.tex_coord) for its in (bake, whole)}
+    _check(len(places) == 1, "direct does not lie where the whole does")
+    return replace(bake, prefix=DIRECT)
 
 
 def _in_texture(bake: FileBake, texture: Any) -> FileBake:

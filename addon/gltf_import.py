@@ -6,6 +6,7 @@ there ``gather_import_scene_after_nodes_hook``.  Whatever is wrong with a bake, 
 with its plain material and a sentence says why.
 """
 
+from collections.abc import Iterable
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -33,7 +34,7 @@ from .light_state import LightState
 from .prt import layout as layouts
 from .prt.errors import BakeError
 from .prt.job import ALL
-from .prt.layout import PREFIX, Layout
+from .prt.layout import Layout
 from .prt.results import ReceiverResult
 
 DRACO = "KHR_draco_mesh_compression"
@@ -64,11 +65,12 @@ class glTF2ImportUserExtension:  # the importer looks for this name
             return
         try:
             bake = read_bake(prt)
-            for primitive in mesh.primitives:
-                _check_primitive(primitive, bake, gltf)
-            if bake.images:
-                self._pictures = self._pictures or gltf_pictures.Pictures(gltf)
-                self._pictures.check(bake)
+            for its in bake.both:
+                for primitive in mesh.primitives:
+                    _check_primitive(primitive, its, gltf)
+                if its.images:
+                    self._pictures = self._pictures or gltf_pictures.Pictures(gltf)
+                    self._pictures.check(its)
             for primitive in mesh.primitives:
                 for name in filter(is_ours, primitive.attributes):
                     _as_floats(gltf, gltf.data.accessors[primitive.attributes[name]])
@@ -97,13 +99,12 @@ class glTF2ImportUserExtension:  # the importer looks for this name
             return
         stored = attributes.take(mesh)
         attributes.remove(mesh)
-        columns = [stored[f"{PREFIX}{k}"][1] for k in range(bake.count)]
         try:
-            floats = bake.decoded(np.concatenate(columns, axis=1))
+            values = [_floats(its, stored) for its in bake.both]
         except BakeError as error:
             _warn(gltf, f"{mesh.name} comes without its bake: {error}")
             return
-        self._values[mesh.name] = bake, bake.arranged(floats)
+        self._values[mesh.name] = bake, values
 
     def gather_import_scene_after_nodes_hook(
         self, _gltf_scene: Any, blender_scene: bpy.types.Scene, gltf: Any
@@ -142,7 +143,7 @@ class glTF2ImportUserExtension:  # the importer looks for this name
             shares[obj] = turn is UNTURNED
             layout = _shown(bake.layout, len(light.peaks), shares[obj])
             made = _stamp(obj, layout, carrier.needs_modifier(obj, depsgraph))
-            made = replace(made, bounces=ALL if bake.bounces else 0)
+            made = replace(made, bounces=ALL if bake.bounces else 0, direct=bake.direct is not None)
             if bake.images:
                 atlas = gltf_pictures.FileAtlas(bake, layout, turn)
                 made = replace(made, carrier="texture", domain="CORNER")
@@ -198,14 +199,13 @@ def _check_primitive(primitive: Any, bake: FileBake, gltf: Any) -> None:
     if bake.images:
         gltf_pictures.check_uvs(primitive, bake, gltf)
     else:
-        _check_attributes(primitive, bake.count, gltf)
+        _check_attributes(primitive, bake.attributes, gltf)
 
 
-def _check_attributes(primitive: Any, count: int, gltf: Any) -> None:
-    """BakeError where a triangle primitive lacks one of ``count`` attributes."""
+def _check_attributes(primitive: Any, names: Iterable[str], gltf: Any) -> None:
+    """BakeError where a triangle primitive lacks one of the attributes ``names``."""
     vertices = gltf.data.accessors[primitive.attributes["POSITION"]].count
-    for k in range(count):
-        name = f"{PREFIX}{k}"
+    for name in names:
         if name not in primitive.attributes:
             raise BakeError(f"attribute {name} is missing")
         accessor = gltf.data.accessors[primitive.attributes[name]]
@@ -216,6 +216,12 @@ def _check_attributes(primitive: Any, count: int, gltf: Any) -> None:
             raise BakeError(f"attribute {name} has {accessor.count} values for {vertices} vertices")
         if not np.isfinite(BinaryData.decode_accessor_obj(gltf, accessor)).all():
             raise BakeError(f"attribute {name} has a value that is no number")
+
+
+def _floats(bake: FileBake, stored: attributes.Stored) -> Any:
+    """What ``stored`` attributes hold of ``bake``, (vertices, 4 k)."""
+    columns = [stored[name][1] for name in bake.attributes]
+    return bake.arranged(bake.decoded(np.concatenate(columns, axis=1)))
 
 
 def _as_floats(gltf: Any, accessor: Any) -> None:
@@ -258,13 +264,16 @@ def _shown(layout: Layout, lights: int, standing: bool) -> Layout:
 def _result(
     obj: bpy.types.Object, bake: FileBake, values: Any, layout: Layout, turn: Any
 ) -> ReceiverResult:
-    """``values`` (vertices, 4 k), Y up, as a bake of ``obj``, Z up."""
+    """``values``, (vertices, 4 k) of the whole and of what has no bounces, Y up, as a bake of
+    ``obj``, Z up."""
     frame = turn @ gltf_frame.Y_UP.T
-    turned = gltf_frame.turned(values, bake.layout, layout, 1.0, frame)
-    found = layouts.unpack(layout, turned)
-    elements = np.arange(len(values), dtype=np.int32)
-    values_of = {name: array for name, array in vars(found).items() if name != "transfer"}
-    return ReceiverResult(obj.name, found.transfer, elements, **values_of)
+    results = []
+    for its, shown, floats in zip(bake.both, (layout, layout.direct), values, strict=False):
+        turned = gltf_frame.turned(floats, its.layout, shown, 1.0, frame)
+        found = vars(layouts.unpack(shown, turned))
+        elements = np.arange(len(floats), dtype=np.int32)
+        results.append(ReceiverResult(obj.name, element_points=elements, **found))
+    return results[0].with_direct(results[1]) if bake.direct is not None else results[0]
 
 
 def _stamp(obj: bpy.types.Object, layout: Layout, by_modifier: bool) -> stamp.Stamp:

@@ -39,7 +39,14 @@ class FileAtlas:
         """Names the numbers."""
         numbers = (self.bake.scale, self.bake.offset, self.turn)
         columns = (self.bake.images, self.bake.layout, self.bake.columns)
-        return (*columns, self.layout, *(array.tobytes() for array in numbers))
+        direct = self.direct and self.direct.key
+        return (*columns, self.layout, *(array.tobytes() for array in numbers), direct)
+
+    @property
+    def direct(self) -> "FileAtlas | None":
+        """The same without bounces, where the file has that."""
+        bake = self.bake.direct
+        return None if bake is None else FileAtlas(bake, self.layout.direct, self.turn)
 
 
 class Pictures:
@@ -62,6 +69,12 @@ class Pictures:
     def atlas(self, atlas: "FileAtlas") -> bpy.types.Image:
         """``atlas``, packed into the .blend.  Any write of a bake deletes images that nothing
         shows, so make it when it is wanted."""
+        image = self._image(atlas)
+        if atlas.direct is not None:
+            atlas_images.set_direct(image, self._image(atlas.direct))
+        return image
+
+    def _image(self, atlas: "FileAtlas") -> bpy.types.Image:
         bake = atlas.bake
         pictures = [self._picture(index) for index in bake.images]
         numbers = byte_pairs.joined(pictures, 0 * bake.offset, 0 * bake.scale + 1)

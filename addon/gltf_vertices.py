@@ -28,10 +28,11 @@ Floats = npt.NDArray[np.float32]
 @dataclass(frozen=True)
 class Vertices:
     """A bake of ``layout`` in glTF's frame: ``values`` (E, 4 k) for each set of attributes, by its
-    id, as primitives may share them."""
+    id, as primitives may share them.  The names of its attributes begin with ``prefix``."""
 
     layout: Layout
     values: Mapping[int, Floats]
+    prefix: str = PREFIX
 
     @property
     def names(self) -> list[str]:
@@ -44,49 +45,62 @@ class Vertices:
         return np.concatenate(list(self.values.values()))[:, places]
 
 
-def read(
-    primitives: Iterable[Any], packing: Layout, shown: Layout, share: float, frame: Any
+@dataclass(frozen=True)
+class Written:
+    """What becomes of the attributes ``names``: what is ``stored`` (E, 4 k) of each set, by its id,
+    float32 or int16; and what the extras say of it."""
+
+    names: Sequence[str]
+    stored: Mapping[int, npt.NDArray[Any]]
+    says: dict[str, Any]
+
+
+def read(  # noqa: PLR0917 - one caller
+    primitives: Iterable[Any],
+    packing: Layout,
+    shown: Layout,
+    share: float,
+    frame: Any,
+    prefix: str,
 ) -> Vertices | None:
-    """What ``primitives`` hold of ``packing``, turned, as ``shown`` with a ``share`` of the
-    residuals; None where attributes are gone."""
+    """What ``primitives`` hold of ``packing`` in attributes whose names begin with ``prefix``,
+    turned, as ``shown`` with a ``share`` of the residuals; None where attributes are gone."""
     values: dict[int, Floats] = {}
     for primitive in primitives:
-        stored = gltf_attributes.read(primitive.attributes, packing.attributes)
+        stored = gltf_attributes.read(primitive.attributes, packing.called(prefix))
         if stored is not None:
             key = id(primitive.attributes)
             values[key] = gltf_frame.turned(stored, packing, shown, share, frame)
         elif primitive.mode in TRIANGLES:
             return None
-    return Vertices(shown, values)
+    return Vertices(shown, values, prefix)
 
 
-def write(primitives: Iterable[Any], vertices: Vertices, short: bool) -> dict[str, Any]:
-    """Give ``primitives`` the floats of ``vertices``, as 16-bit numbers where ``short`` says so;
-    what the extras say of them."""
+def plain(vertices: Vertices, short: bool) -> Written:
+    """The floats of ``vertices``, as 16-bit numbers where ``short`` says so."""
     scale = gltf_attributes.scale_of(vertices.values.values()) if short else None
     quantize = gltf_attributes.quantized
     stored = {
         key: values if scale is None else quantize(values, scale)
         for key, values in vertices.values.items()
     }
-    _replace(primitives, vertices.layout.attributes, stored)
-    slots = list(vertices.layout.slots)
-    return {"layout": slots, "scale": 1 if scale is None else scale.tolist()}
+    says = {
+        "layout": list(vertices.layout.slots),
+        "scale": 1 if scale is None else scale.tolist(),
+    }
+    return Written(vertices.layout.called(vertices.prefix), stored, says)
 
 
-def write_coded(
-    primitives: Iterable[Any], vertices: Vertices, codes: Codes, error: float
-) -> dict[str, Any]:
+def coded(vertices: Vertices, codes: Codes, error: float) -> Written:
     """The same in clusters, which leave a relative RMS ``error``."""
     numbers = np.concatenate([codes.clusters[:, None], np.rint(LARGEST * codes.weights)], axis=1)
     ends = np.cumsum([len(values) for values in vertices.values.values()])[:-1]
     parts = np.split(numbers.astype(np.int16), ends)
     count = codes.weights.shape[1]
-    names = [f"{PREFIX}{k}" for k in range((1 + count) // 4)]
-    _replace(primitives, names, dict(zip(vertices.values, parts, strict=True)))
+    names = [f"{vertices.prefix}{k}" for k in range((1 + count) // 4)]
     rows = np.concatenate([codes.means[:, None], codes.directions], axis=1)
     book = [float(f"{value:.{DIGITS}g}") for value in rows.ravel().tolist()]
-    return {
+    says = {
         "layout": vertices.names,
         "scale": 1,
         "clusters": {
@@ -95,25 +109,24 @@ def write_coded(
             "values": book,
         },
     }
+    return Written(names, dict(zip(vertices.values, parts, strict=True)), says)
 
 
-def _replace(
-    primitives: Iterable[Any], names: Sequence[str], stored: Mapping[int, npt.NDArray[Any]]
-) -> None:
-    """Let the attributes ``names`` be what is ``stored`` (E, 4 k) of each set, and no others of
-    ours."""
+def write(primitives: Iterable[Any], written: Sequence[Written]) -> None:
+    """Give ``primitives`` what is ``written``, and no other attributes of ours."""
     replaced: dict[int, gltf_attributes.Accessors] = {}
     for primitive in primitives:
         before = primitive.attributes
-        if id(before) not in stored:
-            primitive.attributes = gltf_attributes.bare(before)
-            continue
         if id(before) not in replaced:
-            replaced[id(before)] = gltf_attributes.replaced(before, names, stored[id(before)])
+            replaced[id(before)] = gltf_attributes.bare(before)
+            for one in written:
+                if id(before) in one.stored:
+                    its = gltf_attributes.holding(before, one.names, one.stored[id(before)])
+                    replaced[id(before)] |= its
         primitive.attributes = replaced[id(before)]
 
 
-def coded(
+def codes_of(
     bakes: Sequence[Vertices], light: LightState | None, frame: gltf_frame.Float, tolerance: float
 ) -> list[tuple[Codes | None, dict[str, Any]]]:
     """Codes of ``bakes`` whose relative error of the light is at most ``tolerance``, None where

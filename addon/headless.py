@@ -29,6 +29,7 @@ SETTINGS = (
     "peaks",
     "final_light",
     "bounces",
+    "keep_direct",
     "reflections",
     "visibility_order",
     "seed",
@@ -83,6 +84,8 @@ def _run(asked: Options, check: Callable[[], None]) -> None:
     world = str(Path(asked.world).absolute()) if asked.world else None
     if not asked.outputs:
         sys.stderr.write("Nothing will be written: --save, --gltf and --report do\n")
+    if asked.keep_direct and not settings.bounces:
+        sys.stderr.write("Nothing bounces, so all light is direct: --bounces says how often\n")
     target = _target(current, asked)
     report = _finish(bake.bake(current.name, names, settings, world, target), check)
     sys.stderr.writelines(f"{note}\n" for note in report["notes"])

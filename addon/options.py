@@ -37,6 +37,7 @@ class Options:
     peaks: int | None
     final_light: bool | None
     bounces: int | None
+    keep_direct: bool | None
     reflections: bool | None
     visibility_order: int | None
     cache: bool
@@ -117,6 +118,11 @@ def _add_how(parser: _Parser) -> None:
         type=_bounces,
         metavar="K|all",
         help="of light from surface to surface, 0: shadows only; all: until nothing is left",
+    )
+    add(
+        "--keep-direct",
+        action=argparse.BooleanOptionalAction,
+        help="with bounces, what there is without them too, for a viewer to leave them out",
     )
     add(
         "--visibility-order",

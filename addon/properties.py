@@ -92,6 +92,13 @@ class PRT_PG_settings(bpy.types.PropertyGroup):
         default=False,
         options=set(),
     )
+    keep_direct: bpy.props.BoolProperty(
+        name="Keep Direct Light",
+        description="Keep the light without bounces too, for glTF: then a viewer can switch off "
+        "what they add. EEVEE shows all of it as before",
+        default=False,
+        options=set(),
+    )
     visibility_order: bpy.props.EnumProperty(
         name="Occlusion of Reflections",
         description="Bake what each point sees, so that reflections grow dark where something "
@@ -280,6 +287,7 @@ def settings(scene: bpy.types.Scene, verify: bool = False) -> Settings:
         engine_images={"EXR": "exr", "PNG": "png"}.get(chosen.engine_images, ""),
         reflections=chosen.reflections,
         bounces=ALL if chosen.all_bounces else chosen.bounces,
+        keep_direct=chosen.keep_direct,
         visibility_order=int(chosen.visibility_order) * chosen.reflections,
         cache=cache_folder.path(),
         seed=chosen.seed,

@@ -75,11 +75,13 @@ def same_image(obj: bpy.types.Object, stamp: Stamp) -> bool:
     if not stamp.in_atlas:
         return True
     image = stamps.image_of(obj)
-    atlas = atlas_images.of(image) if image is not None else None
-    if image is None or atlas is None:
-        return False
-    path = atlas_files.path_of(image)
-    return path is None or atlas_files.job_hash(path) == atlas.job_hash
+    return image is not None and of_its_bake(image)
+
+
+def of_its_bake(image: bpy.types.Image) -> bool:
+    """Whether ``image`` is an atlas, and its file that of its bake."""
+    atlas, path = atlas_images.of(image), atlas_files.path_of(image)
+    return atlas is not None and (path is None or atlas_files.job_hash(path) == atlas.job_hash)
 
 
 def _same_mesh(obj: bpy.types.Object, stamp: Stamp) -> bool:

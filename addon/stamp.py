@@ -15,7 +15,7 @@ from math import isqrt
 
 import bpy
 
-from .prt.layout import Layout
+from .prt.layout import DIRECT, PREFIX, Layout
 
 KEY = "prt_stamp"
 SWITCH = "prt_baked"
@@ -41,7 +41,8 @@ class Stamp:
     white surface: ``light_error`` as measured where the world is ``light_at_bake`` (else it was
     another one by then), and ``plain_error``, what the light's order leaves out where no residual
     mends it.  Of what points see, where that is stored: ``visibility_error`` as measured.
-    ``bounces`` are those that were asked for."""
+    ``bounces`` are those that were asked for, and ``direct`` is whether the light without them
+    was kept."""
 
     order: int
     channels: int
@@ -69,6 +70,7 @@ class Stamp:
     uv_key: str = ""
     why: str = ""
     bounces: int = 0
+    direct: bool = False
     version: int = VERSION
 
     @property
@@ -77,6 +79,13 @@ class Stamp:
         letters = Counter(name[:1] for name in self.layout)
         seen = isqrt(letters["V"])
         return Layout(self.order, self.channels, letters["R"] // 3, letters["S"], seen)
+
+    @property
+    def sets(self) -> dict[str, Layout]:
+        """The layout of each set of attributes, or image, by what the attributes' names begin
+        with."""
+        direct = {DIRECT: self.packing.direct} if self.direct else {}
+        return {PREFIX: self.packing, **direct}
 
     @property
     def in_atlas(self) -> bool:

@@ -58,34 +58,45 @@ def _uvs(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[Floats 
 
 @contextmanager
 def images(results: Results, target: Target) -> Iterator[list[bpy.types.Image]]:
-    """The atlases of ``results`` as images, in files or packed; on an error inside there are
-    neither."""
+    """The atlases of ``results`` as images, in files or packed, with those that were kept without
+    bounces; on an error inside there are neither."""
     members: list[list[str]] = [[] for _ in results.atlases]
     for result in results.receivers:
         if result.in_atlas is not None:
             members[result.in_atlas.atlas].append(result.name)
-    sources = [atlas.path for atlas in results.atlases]
+    with_direct = [k for k, atlas in enumerate(results.atlases) if atlas.direct is not None]
+    atlases = [*results.atlases, *(results.atlases[k].direct for k in with_direct)]
+    sources = [atlas.path for atlas in atlases]
     if target.folder is None:
-        with _loaded(results.atlases, sources, results.report["job_hash"]) as found:
+        with _loaded(atlases, sources, results.report["job_hash"]) as found:
             for image, source in zip(found, sources, strict=True):
                 image.pack()
                 image.filepath_raw = f"//{target.stem} {source.name}"
-            yield found
+            yield _wholes(found, with_direct)
         return
     paths = atlas_files.paths(target, members)
-    files = [file for atlas in results.atlases for file in atlas.files]
+    paths += [atlas_files.direct_path(paths[k]) for k in with_direct]
+    files = [file for atlas in atlases for file in atlas.files]
     for_engines = [
         place
-        for path, atlas in zip(paths, results.atlases, strict=True)
+        for path, atlas in zip(paths, atlases, strict=True)
         for place in atlas_files.beside(path, atlas.path, atlas.files)
     ]
     with (
         atlas_files.placed([*sources, *files], [*paths, *for_engines]),
-        _loaded(results.atlases, paths, results.report["job_hash"]) as found,
+        _loaded(atlases, paths, results.report["job_hash"]) as found,
     ):
         for image, path in zip(found, paths, strict=True):
             image.filepath_raw = _relative(path)
-        yield found
+        yield _wholes(found, with_direct)
+
+
+def _wholes(images: list[bpy.types.Image], with_direct: list[int]) -> list[bpy.types.Image]:
+    """``images`` without the last ones, which are those without bounces of some of the others."""
+    wholes = images[: len(images) - len(with_direct)]
+    for k, direct in zip(with_direct, images[len(wholes) :], strict=True):
+        atlas_images.set_direct(wholes[k], direct)
+    return wholes
 
 
 @contextmanager

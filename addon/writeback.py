@@ -19,7 +19,6 @@ from . import (
     stamp,
     write_checks,
 )
-from .prt import layout as layouts
 from .prt.errors import BakeError
 from .prt.layout import Layout
 from .prt.results import ReceiverResult
@@ -89,8 +88,8 @@ def _prepare(
         if placed is not None:
             count, stored = len(placed.uvs), attributes.with_uvs(placed.uvs, mesh)
         else:
-            values = layouts.pack(layout, layouts.at_elements(result))
-            count, stored = len(values), attributes.split(layout, domain, values)
+            stored = attributes.of_result(result, layout, domain)
+            count = len(result.element_points)
     if count != expected:
         raise BakeError(f"The mesh of {obj.name!r} was edited while it baked: bake it again")
     image = images[placed.atlas] if placed is not None else None

@@ -31,6 +31,10 @@ class PRT_PT_settings(SidebarPanel, bpy.types.Panel):
         bounces.active = not chosen.all_bounces
         bounces.prop(chosen, "bounces")
         layout.prop(chosen, "all_bounces")
+        if chosen.bounces or chosen.all_bounces:
+            layout.prop(chosen, "keep_direct")
+            if chosen.keep_direct:
+                hint(layout, direct_hint(chosen))
         layout.prop(chosen, "reflections")
         if chosen.reflections:
             hint(layout, REFLECTIONS)
@@ -129,6 +133,18 @@ def attributes_hint(chosen: bpy.types.PropertyGroup) -> str:
     coloured = len(used_layout(chosen, 3).attributes)
     bounces = chosen.bounces or chosen.all_bounces
     return f"{whole}, {coloured} where colours bounce" if bounces else whole
+
+
+def direct_hint(chosen: bpy.types.PropertyGroup) -> str:
+    """What light without bounces takes beside the whole; EEVEE reads none of it, and no ray is
+    traced for it."""
+    count = len(used_layout(chosen).direct.attributes)
+    attributes = f"{count} attributes that EEVEE does not read"
+    return {
+        "VERTEX": attributes,
+        "TEXTURE": "a second image, which EEVEE does not read",
+        "AUTO": f"{attributes}, or a second image",
+    }[chosen.carrier] + ", no more rays"
 
 
 def megabytes(chosen: bpy.types.PropertyGroup) -> float:

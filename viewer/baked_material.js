@@ -21,7 +21,7 @@ export function bakedMaterial(plain, bake) {
     for (const name of SHARED) material[name] = plain[name];
   } else if (!whole) material.color.setScalar(ALBEDO);
   const uniforms = uniformsOf(bake);
-  const { vertex, fragment } = (bake.atlas ? inTexture : bake.clusters ? inClusters : onVertices)(bake.layout);
+  const { vertex, fragment } = (bake.atlas ? inTexture : bake.clusters ? inClusters : onVertices)(bake.layout, bake.prefix.toLowerCase());
   if (!whole && plain?.emissive) uniforms.prtEmission.value.copy(plain.emissive).multiplyScalar(plain.emissiveIntensity);
   material.onBeforeCompile = (shader) => {
     Object.assign(shader.uniforms, uniforms);
@@ -29,7 +29,7 @@ export function bakedMaterial(plain, bake) {
       '#include <begin_vertex>', `#include <begin_vertex>\n${vertex[1]}`);
     shader.fragmentShader = fragment[0] + DECLARATIONS + (whole ? overMetal : diffuse)(shader.fragmentShader, fragment[1]);
   };
-  material.customProgramCacheKey = () => `prt ${whole} ${!!bake.atlas} ${!!bake.clusters} ${bake.layout}`;
+  material.customProgramCacheKey = () => `prt ${whole} ${!!bake.atlas} ${!!bake.clusters} ${bake.prefix} ${bake.layout}`;
   material.userData.prt = uniforms;
   return material;
 }

@@ -5,14 +5,14 @@ import * as THREE from 'three';
 import { XYZW, onVertices, quarters } from './prt_shader.js';
 
 // As prt_shader.js' onVertices.
-export function inClusters(layout) {
-  const stored = (name) => `prt${layout.indexOf(name) >> 2}.${XYZW[layout.indexOf(name) & 3]}`;
-  const weights = layout.filter((name) => name[0] === 'W').map((name) =>
-    `prtSum += ${stored(name)} * texelFetch(prtClusters, ivec2(${1 + parseInt(name.slice(1))}, prtCluster), 0).rgb;`);
-  const { vertex: [declarations], fragment } = onVertices(layout);
+export function inClusters(layout, name) {
+  const stored = (slot) => `prt${layout.indexOf(slot) >> 2}.${XYZW[layout.indexOf(slot) & 3]}`;
+  const weights = layout.filter((slot) => slot[0] === 'W').map((slot) =>
+    `prtSum += ${stored(slot)} * texelFetch(prtClusters, ivec2(${1 + parseInt(slot.slice(1))}, prtCluster), 0).rgb;`);
+  const { vertex: [declarations], fragment } = onVertices(layout, name);
   return {
     vertex: [`${declarations} uniform highp sampler2D prtClusters;`, [
-      ...quarters(layout).map((k) => `vec4 prt${k} = prtScale[${k}] * _prt_${k};`),
+      ...quarters(layout).map((k) => `vec4 prt${k} = prtScale[${k}] * ${name}${k};`),
       `int prtCluster = int(${stored('K')} + 0.5);`,
       'prtSum = texelFetch(prtClusters, ivec2(0, prtCluster), 0).rgb;', ...weights].join('\n')],
     fragment,

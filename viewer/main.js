@@ -31,6 +31,7 @@ async function openModel(name, buffer) {
   $('facts').textContent = [count(baked, 'bake'), count(triangles, 'triangle'), ...stored].join(', ');
   say(problems.join('\n'));
   $('residual').disabled = !stage.primitives.some((one) => one.bake?.turns);
+  $('bounces').parentElement.hidden = !stage.primitives.some((one) => one.direct);
   $('lights').disabled = !stage.primitives.some((one) => one.bake?.lights);
   $('panel').hidden = false;
   $('drop').classList.remove('shown');
@@ -55,7 +56,7 @@ function slide(id, value) {
 }
 
 for (const id of ['environment', 'model']) $(id).addEventListener('input', () => slide(id, $(id).value));
-for (const id of ['albedo', 'residual', 'lights', 'background']) {
+for (const id of ['albedo', 'bounces', 'residual', 'lights', 'background']) {
   $(id).addEventListener('change', () => stage.set({ [id]: $(id).checked }));
 }
 for (const radio of document.querySelectorAll('input[name=view]')) {

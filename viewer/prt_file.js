@@ -13,13 +13,28 @@ function check(holds, sentence) {
 const LARGEST = 32767; // of a normalized SHORT, which stands for 1
 const TEXCOORDS = ['uv', 'uv1', 'uv2', 'uv3']; // what three.js calls the first of them
 
-// The bake of one primitive: { layout, turns, lights, matrix, scale }, and of one in pictures
+// The bake of one primitive: { layout, turns, lights, matrix, scale, prefix }, and of one in pictures
 // { offset, images, uv }, `uv` being the attribute that they are read by, and of one in clusters
 // { clusters: { slots, rows } }, `layout` being what the attributes hold, `slots` what a row stands for,
-// and `rows` the mean and the directions of each, one after the other. `prt` is mesh.extras.prt,
+// and `rows` the mean and the directions of each, one after the other. Names of attributes begin with
+// `prefix`; `direct` is the same without bounces, where the file has that. `prt` is mesh.extras.prt,
 // `geometry` three.js' BufferGeometry, which has the names of attributes in lower case, and `images`
 // those of the document.
 export function readBake(prt, geometry, images = []) {
+  const whole = readStored(prt, geometry, images, '_PRT_');
+  return prt.direct ? { ...whole, direct: readDirect(prt, whole, geometry, images) } : whole;
+}
+
+function readDirect({ layout, scale, offset, texture, clusters, direct, ...common }, whole, geometry, images) {
+  check(common.includes === INCLUDES[1], 'it has direct light apart, and no bounces');
+  const prt = { ...common, channels: 1, includes: INCLUDES[0], ...direct };
+  const bake = readStored(prt, geometry, images, '_PRT_DIRECT_');
+  check(bake.turns === whole.turns && bake.lights === whole.lights, 'direct has another layout than without bounces');
+  check(bake.uv === whole.uv, 'direct does not lie where the whole does');
+  return bake;
+}
+
+function readStored(prt, geometry, images, prefix) {
   check(prt.version === 1, `its bake has version ${prt.version}, and this viewer knows 1`);
   check(Number.isInteger(prt.order) && prt.order >= 1 && prt.order <= 5, `order ${prt.order} is none of 1 to 5`);
   check(prt.channels === 1 || prt.channels === 3, `${prt.channels} channels are neither 1 nor 3`);
@@ -33,10 +48,10 @@ export function readBake(prt, geometry, images = []) {
   const scale = prt.scale === 1 ? layout.map(() => 1) : prt.scale;
   check(numbers(scale, layout.length), `scale is neither 1 nor ${layout.length} numbers`);
   const lights = layout.filter((slot) => slot[0] === 'S').length;
-  const bake = { order: prt.order, layout, turns, lights, matrix: prt.matrix, scale };
+  const bake = { order: prt.order, layout, turns, lights, matrix: prt.matrix, scale, prefix };
   if (prt.texture) return { ...bake, offset: prt.offset, ...readTexture(prt, geometry, images) };
-  if (prt.clusters) return { ...bake, ...readClusters(prt, geometry) };
-  checkAttributes(layout, geometry);
+  if (prt.clusters) return { ...bake, ...readClusters(prt, geometry, prefix) };
+  checkAttributes(layout, geometry, prefix);
   return bake;
 }
 
@@ -53,15 +68,15 @@ function checkLayout({ layout, order, channels, texture, clusters }, turns) {
   check(new Set(used).size === used.length, 'layout has a name twice');
 }
 
-function readClusters({ layout: slots, clusters: { layout, values } }, geometry) {
+function readClusters({ layout: slots, clusters: { layout, values } }, geometry, prefix) {
   const weights = Array.isArray(layout) ? layout.filter((name) => /^W\d+$/.test(name)).length : 0;
   const expected = ['K', ...Array.from({ length: weights }, (_, j) => `W${j}`)];
   check(weights && layout.length % 4 === 0 && layout.filter(Boolean).length === expected.length
     && expected.every((name) => layout.includes(name)), "the clusters' layout is not K, W0, W1, …");
-  checkAttributes(layout, geometry);
+  checkAttributes(layout, geometry, prefix);
   const width = (1 + weights) * slots.length, count = values?.length / width;
   check(Number.isInteger(count) && count > 0 && numbers(values, values.length), `the clusters' values are not ${width} numbers each`);
-  const place = layout.indexOf('K'), attribute = geometry.attributes[`_prt_${place >> 2}`];
+  const place = layout.indexOf('K'), attribute = geometry.attributes[`${prefix}${place >> 2}`.toLowerCase()];
   for (let i = 0; i < attribute.count; ++i) {
     const number = Math.round(attribute.getComponent(i, place & 3) * LARGEST);
     check(number >= 0 && number < count, `a vertex is of cluster ${number}, and there are ${count}`);
@@ -82,10 +97,10 @@ function readTexture({ texture, layout, offset }, geometry, images) {
   return { images: texture.images, uv };
 }
 
-function checkAttributes(layout, geometry) {
+function checkAttributes(layout, geometry, prefix) {
   const { position } = geometry.attributes;
   for (let k = 0; k < layout.length / 4; ++k) {
-    const name = `_PRT_${k}`, attribute = geometry.attributes[name.toLowerCase()];
+    const name = `${prefix}${k}`, attribute = geometry.attributes[name.toLowerCase()];
     check(attribute, `attribute ${name} is missing`);
     check(attribute.itemSize === 4, `attribute ${name} is no VEC4`);
     check(attribute.count === position.count,

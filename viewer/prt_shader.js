@@ -32,12 +32,12 @@ function sum(layout, vectors) {
 
 export const quarters = (layout) => [...Array(Math.ceil(layout.length / 4)).keys()];
 
-// A bake in attributes; three.js makes their names lower case. `vertex` and `fragment` are what
-// stands above main() and in it.
-export const onVertices = (layout) => ({
-  vertex: [`${quarters(layout).map((k) => `attribute vec4 _prt_${k};`).join('\n')} ${factors(layout)}
+// A bake in attributes `name`0, `name`1, …; three.js makes their names lower case. `vertex` and
+// `fragment` are what stands above main() and in it.
+export const onVertices = (layout, name) => ({
+  vertex: [`${quarters(layout).map((k) => `attribute vec4 ${name}${k};`).join('\n')} ${factors(layout)}
     uniform vec4 prtScale[${layout.length / 4}]; // 1, or that of normalized SHORT
-    varying vec3 prtSum;`, sum(layout, quarters(layout).map((k) => `prtScale[${k}] * _prt_${k}`))],
+    varying vec3 prtSum;`, sum(layout, quarters(layout).map((k) => `prtScale[${k}] * ${name}${k}`))],
   fragment: ['varying vec3 prtSum;', ''],
 });
 

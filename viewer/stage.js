@@ -23,10 +23,10 @@ export class Stage {
     this.controls.enableDamping = true;
     this.pivot = new THREE.Group();
     this.scene.add(this.pivot);
-    this.options = { albedo: true, residual: true, lights: true, background: true };
+    this.options = { albedo: true, bounces: true, residual: true, lights: true, background: true };
     this.view = 'baked';
     this.turns = { environment: 0, model: 0 };
-    this.primitives = []; // { mesh, plain, baked, bake }
+    this.primitives = []; // { mesh, plain, baked, bake, direct: { baked, bake } }
     this.atlases = new Map();
     this.errorView = new ErrorView();
     this.light = null; // of the file
@@ -74,18 +74,29 @@ export class Stage {
     if (!prt || !this.light) return { mesh, plain };
     try {
       const bake = readBake(prt, mesh.geometry, parser.json.images);
-      if (bake.images) {
-        mesh.geometry.setAttribute('_prt_uv', bake.uv);
-        bake.atlas = await this.#atlas(bake, parser);
-      }
       const own = document.primitives[place.primitives ?? 0].material !== undefined;
-      const baked = bakedMaterial(own ? plain : null, bake);
-      checkRoom(bake, mesh.geometry, baked, this.renderer.capabilities.maxAttributes);
-      return { mesh, plain, baked, bake };
+      const make = (its) => this.#baked(mesh, own ? plain : null, its, parser);
+      return { mesh, plain, ...await make(bake), direct: bake.direct && await make(bake.direct) };
     } catch (error) {
       problems.push(`${document.name ?? mesh.name} is shown with its plain material: ${error.message}`);
       return { mesh, plain };
     }
+  }
+
+  // The material that shows a bake.
+  async #baked({ geometry }, plain, bake, parser) {
+    if (bake.images) {
+      geometry.setAttribute('_prt_uv', bake.uv);
+      bake.atlas = await this.#atlas(bake, parser);
+    }
+    const baked = bakedMaterial(plain, bake);
+    checkRoom(bake, geometry, baked, this.renderer.capabilities.maxAttributes);
+    return { baked, bake };
+  }
+
+  // What of a primitive is shown: all its light, or that without bounces where the file has it.
+  #chosen(primitive) {
+    return this.options.bounces ? primitive : primitive.direct ?? primitive;
   }
 
   // The decoded pictures of a bake; objects of one atlas share them.
@@ -146,13 +157,13 @@ export class Stage {
     this.scene.updateMatrixWorld(true);
     this.rigid = true;
     for (const primitive of this.primitives) {
-      const { mesh, plain, baked } = primitive;
-      mesh.material = baked && this.view !== 'plain' ? baked : plain;
-      if (baked) this.#light(primitive);
+      const { mesh, plain } = primitive, chosen = this.#chosen(primitive);
+      mesh.material = chosen.baked && this.view !== 'plain' ? chosen.baked : plain;
+      if (chosen.baked) this.#light(mesh, chosen);
     }
   }
 
-  #light({ mesh, baked, bake }) {
+  #light(mesh, { baked, bake }) {
     const now = new THREE.Matrix3().setFromMatrix4(mesh.matrixWorld).elements;
     const { light, rigid } = lightOfNode(this.shownLight, now, bake.matrix);
     this.rigid &&= rigid;
@@ -171,7 +182,10 @@ export class Stage {
   }
 
   #swap(view) {
-    for (const { mesh, plain, baked } of this.primitives) mesh.material = view === 'baked' && baked ? baked : plain;
+    for (const primitive of this.primitives) {
+      const { baked } = this.#chosen(primitive);
+      primitive.mesh.material = view === 'baked' && baked ? baked : primitive.plain;
+    }
   }
 
   resize(width, height, ratio = 1) {
@@ -233,11 +247,13 @@ export class Stage {
   }
 
   #clear() {
-    for (const { mesh, plain, baked } of this.primitives) {
+    for (const { mesh, plain, baked, direct } of this.primitives) {
       mesh.geometry.dispose();
       plain.dispose();
-      baked?.dispose();
-      baked?.userData.prt.prtClusters?.value.dispose();
+      for (const material of [baked, direct?.baked]) {
+        material?.dispose();
+        material?.userData.prt.prtClusters?.value.dispose();
+      }
     }
     for (const texture of this.atlases.values()) texture.dispose();
     this.atlases.clear();

@@ -43,9 +43,11 @@ def cut(result: ReceiverResult, order: int, turns_sh: Float) -> ReceiverResult:
     rest = result.transfer[..., kept:]
     for k, light in enumerate(turns_sh[: residual.shape[1]]):
         residual[:, k] += exit_radiance(rest, light[kept:whole])
-    return replace(
+    less = replace(
         result, transfer=np.ascontiguousarray(result.transfer[..., :kept]), residual=residual
     )
+    direct = result.direct
+    return less if direct is None else less.with_direct(cut(direct, order, turns_sh))
 
 
 def _left_out(result: ReceiverResult, order: int, radiance_sh: Float | None) -> float:

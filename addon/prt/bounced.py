@@ -341,7 +341,8 @@ def with_bounces(scene: Scene, plain: ReceiverResult, more: Array) -> ReceiverRe
         for k, radiance in enumerate(scene.world.exact.radiance_sh):
             its = radiance[:coefficients]
             residual[:, k] -= exit_radiance(transfer, its) - exit_radiance(plain.transfer, its)
-    return replace(plain, transfer=transfer, residual=residual.astype(np.float32))
+    whole = replace(plain, transfer=transfer, residual=residual.astype(np.float32))
+    return whole.with_direct(plain) if scene.job.settings.keep_direct else whole
 
 
 class Surfaces:

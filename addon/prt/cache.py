@@ -122,6 +122,7 @@ class Keys:
         receiver = job.receivers[index]
         without: tuple[str, ...] = NEVER if with_light else NEVER + BY_LIGHT
         without += ("bounces", "visibility_order") if what == "visibility" else ()
+        without += ("keep_direct",) if what != "result" else ()
         settings = {k: v for k, v in asdict(job.settings).items() if k not in without}
         header = (VERSION, what, receiver.domain, settings, with_light)
         digest = hashlib.blake2b(digest_size=20)

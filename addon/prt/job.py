@@ -52,10 +52,11 @@ class Settings:
     found with ``map_rays`` more candidates a point.  Up to ``peaks`` suns and lamps are cut out of
     the map.  ``final_light`` says that the light will not change, so that what it doesn't show need
     not be stored.  ``bounces`` of light from surface to surface are in the transfer: 0 is shadows
-    alone, ALL goes on until the added light falls below the tolerance.  What each point sees is
-    stored too, in ``visibility_order`` bands, unless that is 0.  ``reflections`` prepares the light
-    for shiny surfaces, and changes nothing that is traced.  ``threads`` 0 means every core and
-    changes no result; nor does ``cache``, a folder that keeps what was traced, "" for none.
+    alone, ALL goes on until the added light falls below the tolerance.  ``keep_direct`` stores what
+    there is without them too, and changes nothing else.  What each point sees is stored too, in
+    ``visibility_order`` bands, unless that is 0.  ``reflections`` prepares the light for shiny
+    surfaces, and changes nothing that is traced.  ``threads`` 0 means every core and changes no
+    result; nor does ``cache``, a folder that keeps what was traced, "" for none.
 
     An atlas has ``resolution`` texels a side, unless ``texel_density``, texels a metre, is given:
     then as many as that takes.  ``shared_atlas`` puts all receivers into one, else each has its
@@ -73,6 +74,7 @@ class Settings:
     peaks: int = 0
     final_light: bool = False
     bounces: int = 0
+    keep_direct: bool = False
     visibility_order: int = 0
     reflections: bool = False
     resolution: int = 1024

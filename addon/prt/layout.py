@@ -20,6 +20,7 @@ from .tracing.visibility import EVERYTHING
 
 MAX_ATTRIBUTES = 14  # EEVEE reads no more in one material
 PREFIX = "_PRT_"
+DIRECT = "_PRT_DIRECT_"  # of attributes without the light that bounced
 CHANNELS = ("r", "g", "b")
 
 Floats = npt.NDArray[np.float32]
@@ -61,7 +62,17 @@ class Layout:
     @property
     def attributes(self) -> tuple[str, ...]:
         """The attributes' names, _PRT_0 first."""
-        return tuple(f"{PREFIX}{k}" for k in range(len(self.slots) // 4))
+        return self.called(PREFIX)
+
+    def called(self, prefix: str) -> tuple[str, ...]:
+        """The names of as many attributes that begin with ``prefix``."""
+        return tuple(f"{prefix}{k}" for k in range(len(self.slots) // 4))
+
+    @property
+    def direct(self) -> "Layout":
+        """Of what is kept without the light that bounced, which alone has colours; what is seen
+        does not depend on that."""
+        return replace(self, channels=1, visibility_order=0)
 
     def __str__(self) -> str:
         """What is stored, in an artist's words."""

@@ -8,12 +8,12 @@ which exists only when all of it is there:
     0_transfer.npy ...      the arrays of receiver 0, see ``ReceiverResult``; where it is in an
                             atlas only some of the points, and 0_uvs.npy
     atlas_0.exr ...         see ``Atlas``; atlas_0_0.exr ... or atlas_0_0.png ..., atlas_0.json for
-                            engines, see ``files/layers.py``
+                            engines, see ``files/layers.py``; direct_0.exr ... without bounces
     reflections.exr         see ``Reflections``
 """
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,16 @@ from .job import Array, EngineImages, Peak
 from .specular.sheet import Sheet
 
 RESULTS = "results"
-RESULT_ARRAYS = ("transfer", "element_points", "residual", "visibility", "visibility_sh")
+RESULT_ARRAYS = (
+    "transfer",
+    "element_points",
+    "residual",
+    "visibility",
+    "visibility_sh",
+    "direct_transfer",
+    "direct_residual",
+)
+HEADER = ("size", "names", "margin", "half")  # of an atlas
 REFLECTIONS = "reflections.exr"
 SOME = 1 << 16  # points of a texture that are left for who wants to know about all
 
@@ -48,7 +57,9 @@ class ReceiverResult:
     ``visibility`` (P, lights) of the lights cut out, and ``visibility_sh`` (P, v²), the
     coefficients of what each point sees (``tracing/visibility.py``); turns, lights and v may be 0.
     For each element of the domain the point that it shows, ``element_points`` (E,) int32, -1 where
-    it has none; no elements where the points are texels (``in_atlas``)."""
+    it has none; no elements where the points are texels (``in_atlas``).  ``direct_transfer``
+    (P, 1, n²) and ``direct_residual`` (P, turns, 3) lack the light that bounced, where they were
+    kept."""
 
     name: str
     transfer: Array
@@ -57,14 +68,35 @@ class ReceiverResult:
     visibility: Array = field(default_factory=lambda: np.empty((0, 0), np.float32))
     in_atlas: InAtlas | None = None
     visibility_sh: Array = field(default_factory=lambda: np.empty((0, 0), np.float32))
+    direct_transfer: Array = field(default_factory=lambda: np.empty((0, 0, 0), np.float32))
+    direct_residual: Array = field(default_factory=lambda: np.empty((0, 0, 3), np.float32))
 
     def __post_init__(self) -> None:
         """What is not stored: arrays of the right length."""
-        for name in ("residual", "visibility", "visibility_sh"):
+        for name in RESULT_ARRAYS[2:]:
             value = getattr(self, name)
             if not value.size:
                 shape = (len(self.transfer), *value.shape[1:])
                 object.__setattr__(self, name, np.empty(shape, np.float32))
+
+    @property
+    def direct(self) -> "ReceiverResult | None":
+        """The same without light that bounced, and without what is seen, which doesn't depend on
+        it; None where that was not kept."""
+        if not self.direct_transfer.shape[1]:
+            return None
+        return ReceiverResult(
+            self.name,
+            self.direct_transfer,
+            self.element_points,
+            self.direct_residual,
+            self.visibility,
+            self.in_atlas,
+        )
+
+    def with_direct(self, direct: "ReceiverResult") -> "ReceiverResult":
+        """The same, and ``direct`` without light that bounced."""
+        return replace(self, direct_transfer=direct.transfer, direct_residual=direct.residual)
 
     def at_elements(self, values: Array) -> Array:
         """``values`` (P, ...), one of the arrays above, at every vertex or corner (E, ...), 0 where
@@ -79,7 +111,8 @@ class Atlas:
     """An image of ``size`` x ``size`` texels, whose columns are called ``names``: ``image``
     (N, N, K) float32, row 0 at the bottom, until it is written, and its ``path`` from then on; no
     surface lies nearer to its border than ``margin`` texels.  ``half`` is how it is stored.  Where
-    ``engine_images`` are asked for, they are ``files`` whose names go on from that of ``path``."""
+    ``engine_images`` are asked for, they are ``files`` whose names go on from that of ``path``.
+    ``direct`` is the same without light that bounced, where that was kept."""
 
     size: int
     names: tuple[str, ...]
@@ -89,6 +122,7 @@ class Atlas:
     path: Path | None = None
     engine_images: EngineImages = ""
     files: tuple[Path, ...] = ()
+    direct: "Atlas | None" = None
 
 
 @dataclass(frozen=True)
@@ -133,10 +167,12 @@ def write_results(results: Results, folder: Path) -> None:
     stamp = {"prtBaker": str(results.report.get("job_hash", ""))}
     for i, atlas in enumerate(results.atlases):
         _write_atlas(atlas, unfinished, f"atlas_{i}", stamp)
+        if atlas.direct is not None:
+            _write_atlas(atlas.direct, unfinished, f"direct_{i}", stamp)
     report = {
         "names": [r.name for r in results.receivers],
         "in_atlas": [-1 if r.in_atlas is None else r.in_atlas.atlas for r in results.receivers],
-        "atlases": [(a.size, a.names, a.margin, a.half) for a in results.atlases],
+        "atlases": [_header(atlas) for atlas in results.atlases],
         "peaks": [asdict(peak) for peak in results.peaks],
         "report": results.report,
         "reflections": _write_reflections(results.reflections, unfinished),
@@ -156,9 +192,7 @@ def read_results(folder: Path) -> Results:
     light = done / "light.npy"
     image_sh = np.load(light) if light.exists() else None
     peaks = tuple(map(Peak.of, values["peaks"]))
-    atlases = tuple(
-        _read_atlas(done / f"atlas_{i}.exr", *what) for i, what in enumerate(values["atlases"])
-    )
+    atlases = tuple(_read_atlases(done, i, what) for i, what in enumerate(values["atlases"]))
     reflections = _read_reflections(values["reflections"], done)
     return Results(image_sh, receivers, values["report"], peaks, atlases, reflections)
 
@@ -173,8 +207,21 @@ def _write_atlas(atlas: Atlas, folder: Path, stem: str, stamp: dict[str, str]) -
         write_png16(folder, stem, atlas.image, atlas.names, metadata=stamp)
 
 
-def _read_atlas(path: Path, size: int, names: list[str], margin: float, half: bool) -> Atlas:
+def _header(atlas: Atlas) -> dict[str, Any]:
+    direct = None if atlas.direct is None else _header(atlas.direct)
+    return {name: getattr(atlas, name) for name in HEADER} | {"direct": direct}
+
+
+def _read_atlases(done: Path, i: int, header: dict[str, Any]) -> Atlas:
+    atlas = _read_atlas(done / f"atlas_{i}.exr", header)
+    if header["direct"] is None:
+        return atlas
+    return replace(atlas, direct=_read_atlas(done / f"direct_{i}.exr", header["direct"]))
+
+
+def _read_atlas(path: Path, header: dict[str, Any]) -> Atlas:
     beside = [*path.parent.glob(f"{path.stem}_*"), *path.parent.glob(f"{path.stem}.json")]
+    size, names, margin, half = (header[name] for name in HEADER)
     return Atlas(size, tuple(names), margin, half, path=path, files=tuple(sorted(beside)))
 
 

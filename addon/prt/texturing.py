@@ -267,8 +267,8 @@ def between_texels(
 def painted(
     sheet: Sheet, results: Sequence[ReceiverResult], number: int, settings: Settings
 ) -> Generator[None, None, Atlas]:
-    """Atlas ``number``, of ``sheet``, from the ``results`` in it, all of it filled.  Yields now and
-    then."""
+    """Atlas ``number``, of ``sheet``, from the ``results`` in it, all of it filled, and without
+    light that bounced where that was kept.  Yields now and then."""
     mine = [result for result in results if result.in_atlas and result.in_atlas.atlas == number]
     layout = layouts.covering(results)
     names = tuple(name for name in layout.slots if name)
@@ -282,6 +282,7 @@ def painted(
         yield
     square = image.reshape(sheet.size, sheet.size, -1)
     yield from push_pull(square, known.reshape(sheet.size, sheet.size))
+    direct = [result.direct for result in results if result.direct is not None]
     return Atlas(
         sheet.size,
         names,
@@ -289,6 +290,7 @@ def painted(
         settings.half,
         square,
         engine_images=settings.engine_images,
+        direct=(yield from painted(sheet, direct, number, settings)) if direct else None,
     )
 
 

@@ -175,6 +175,18 @@ def test_any_number_of_bounces_may_be_asked_for(capsys, asked):
         assert asked[-1][2].bounces == bounces
 
 
+def test_direct_light_is_kept_apart_where_light_bounces(scene, capsys, asked):
+    assert cli.command(["--keep-direct", "--bounces", "2"]) == 0
+    assert asked[-1][2].keep_direct
+    assert "Nothing bounces" not in capsys.readouterr().err
+    assert cli.command(["--keep-direct"]) == 0
+    assert "Nothing bounces, so all light is direct: --bounces says" in capsys.readouterr().err
+    scene.prt.keep_direct = True
+    for words, kept in (([], True), (["--no-keep-direct"], False)):
+        assert cli.command(words) == 0
+        assert asked[-1][2].keep_direct is kept
+
+
 def test_textures_go_beside_the_saved_blend_or_where_they_are_told(scene, asked, tmp_path):
     scene.prt.carrier, scene.prt.resolution = "AUTO", "512"
     save = ["--save", str(tmp_path / "lit.blend")]

@@ -160,7 +160,7 @@ def test_only_settings_are_saved(scene):
     exact = {"residual", "turns", "peaks", "final_light"}
     plain = {"name", "order", "quality", "rays", "tolerance", "seed", "threads"}
     plain |= {"gltf_short", "gltf_compress", "gltf_error", "gltf_ibl"}
-    plain |= {"reflections", "visibility_order"}
+    plain |= {"reflections", "visibility_order", "keep_direct"}
     texture = {"size_by", "resolution", "texel_density", "shared_atlas", "padding_mip", "half"}
     where = {"carrier", "image_folder", "pack_images", "engine_images", "bounces", "all_bounces"}
     assert kept == plain | exact | texture | where

@@ -176,6 +176,23 @@ def test_the_settings_tell_what_colours_that_bounce_cost(context):
     assert whole in drawn(settings_panel.PRT_PT_settings, context)
 
 
+def test_the_settings_tell_what_direct_light_costs_where_light_bounces(context):
+    chosen = context.scene.prt
+    chosen.keep_direct = True
+    assert "<keep_direct>" not in drawn(settings_panel.PRT_PT_settings, context)
+    chosen.bounces = 3
+    for carrier, words in (
+        ("VERTEX", "3 attributes that EEVEE does not read, no more rays"),
+        ("TEXTURE", "a second image, which EEVEE does not read, no more rays"),
+        ("AUTO", "3 attributes that EEVEE does not read, or a second image, no more rays"),
+    ):
+        chosen.carrier = carrier
+        notes = drawn(settings_panel.PRT_PT_settings, context)
+        assert notes[notes.index("<keep_direct>") + 1] == words
+    chosen.keep_direct = False
+    assert words not in drawn(settings_panel.PRT_PT_settings, context)
+
+
 def test_the_settings_tell_what_a_texture_costs(context):
     chosen = context.scene.prt
     assert not settings_panel.PRT_PT_texture.poll(context)

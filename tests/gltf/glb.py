@@ -53,28 +53,32 @@ class Glb:
         channels = ["r", "g", "b"] if prt["channels"] == 3 else [""]
         return self.slots(name, [[f"T{i}{c}" for i in range(prt["order"] ** 2)] for c in channels])
 
-    def slots(self, name, names):
-        """The floats of the node ``name`` in the slots called ``names``, (E, *shape of names)."""
-        layout = self.prt(name)["layout"]
-        if "clusters" in self.prt(name):
-            return self._of_clusters(name)[:, np.vectorize(layout.index)(names)]
-        rows = [
-            np.concatenate([a[f"_PRT_{k}"] for k in range(len(layout) // 4)], axis=1)
-            for a in self.attributes(name)
-        ]
-        values = np.concatenate(rows) * np.asarray(self.prt(name)["scale"], np.float32)
-        return values[:, np.vectorize(layout.index)(names)]
+    def slots(self, name, names, direct=False):
+        """The floats of the node ``name`` in the slots called ``names``, (E, *shape of names); with
+        ``direct`` those without bounces."""
+        prt, prefix = self.prt(name), "_PRT_"
+        if direct:
+            prt, prefix = prt["direct"], "_PRT_DIRECT_"
+        if "clusters" in prt:
+            return self._of_clusters(name, prt, prefix)[:, np.vectorize(prt["layout"].index)(names)]
+        rows = self._rows(name, prefix, len(prt["layout"]))
+        values = rows * np.asarray(prt["scale"], np.float32)
+        return values[:, np.vectorize(prt["layout"].index)(names)]
 
-    def _of_clusters(self, name):
-        """The floats (E, F) of a bake in clusters."""
-        layout, clusters = self.prt(name)["layout"], self.prt(name)["clusters"]
-        coded = clusters["layout"]
-        rows = np.concatenate(
+    def _rows(self, name, prefix, count):
+        """What attributes that begin with ``prefix`` hold, (E, count)."""
+        return np.concatenate(
             [
-                np.concatenate([a[f"_PRT_{k}"] for k in range(len(coded) // 4)], axis=1)
+                np.concatenate([a[f"{prefix}{k}"] for k in range(count // 4)], axis=1)
                 for a in self.attributes(name)
             ]
         )
+
+    def _of_clusters(self, name, prt, prefix):
+        """The floats (E, F) of a bake in clusters."""
+        layout, clusters = prt["layout"], prt["clusters"]
+        coded = clusters["layout"]
+        rows = self._rows(name, prefix, len(coded))
         number = np.rint(32767 * rows[:, coded.index("K")]).astype(int)
         weights = [name for name in coded if name[:1] == "W"]
         book = np.reshape(clusters["values"], (-1, 1 + len(weights), len(layout)))
@@ -83,9 +87,10 @@ class Glb:
             values = values + rows[:, [coded.index(f"W{j}")]] * book[number, 1 + j]
         return values
 
-    def atlas(self, name):
-        """What the pictures of the node ``name`` hold, (N, N, floats), top row first."""
-        prt = self.prt(name)
+    def atlas(self, name, direct=False):
+        """What the pictures of the node ``name`` hold, (N, N, floats), top row first; with
+        ``direct`` those without bounces."""
+        prt = self.prt(name)["direct"] if direct else self.prt(name)
         scale, offset = (np.array(prt[key]) for key in ("scale", "offset"))
         pictures = [self.picture(index) for index in prt["texture"]["images"]]
         bytes_ = np.concatenate(pictures, axis=2).astype(float)

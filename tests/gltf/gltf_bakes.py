@@ -1,5 +1,7 @@
 """Made-up bakes on vertices, written as if they had just been baked."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 from prt_baker.addon import carrier, stamp, writeback
@@ -10,12 +12,13 @@ from prt_baker.addon.scene import mesh_signature
 
 def bake_by_hand(
     obj, *, order=3, channels=1, turns=0, lights=0, seen=0, domain="POINT", by_modifier=False,
-    smooth=False, bent=False,
+    smooth=False, bent=False, direct=False,
 ):  # fmt: skip
     """Random transfer on ``obj``, written as if it had just been baked; residual and visibility
     tell which element they are of by its first coefficient.  ``smooth``: all of it changes slowly
     over each face, as it does in a bake, and ``bent`` is no linear function of the place.  With
-    ``seen``, so many bands of what is seen."""
+    ``seen``, so many bands of what is seen; with ``direct``, other numbers for light that did not
+    bounce."""
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
     layout = Layout(order, channels, turns, lights, seen)
@@ -33,6 +36,10 @@ def bake_by_hand(
         visibility_sh=np.random.default_rng(7).normal(size=(len(places), seen**2)).astype("f4"),
     )
     made = make_stamp(obj, layout, domain, by_modifier)
+    if direct:
+        apart = make(0.7 * places, layout.direct)
+        kept = ReceiverResult(obj.name, 0.6 * apart[0], result.element_points, 0.6 * apart[1])
+        result, made = result.with_direct(kept), replace(made, direct=True, bounces=1)
     writeback.write(bpy.context.scene, [(obj, result, made)], layout)
     bpy.context.view_layer.update()
     return arrays[0]

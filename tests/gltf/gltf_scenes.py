@@ -131,6 +131,7 @@ BAKED = {
     "order 4, three channels": lambda bake: bake(plain(), order=4, channels=3, turns=1),
     "order 5, peaks": lambda bake: bake(plain(), order=5, turns=1, lights=2),
     "what is seen": lambda bake: bake(rotated(), turns=1, seen=3),
+    "direct light apart": lambda bake: bake(rotated(), channels=3, turns=1, lights=2, direct=True),
     "order 3, twelve turns": lambda bake: bake(plain(), turns=12),
     "colours, two materials": lambda bake: bake(colored(COLORS, "Dirt"), turns=1),
 }

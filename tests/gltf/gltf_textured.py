@@ -15,14 +15,16 @@ ORDER_3 = Layout(3, turns=1)
 NOTHING = np.empty(0, np.int32)
 
 
-def bake_in_texture(folder, objects, layout=ORDER_3, size=64, own_uvs=False):
+def bake_in_texture(folder, objects, layout=ORDER_3, size=64, *, own_uvs=False, direct=False):
     """Slow functions of the place in an atlas that ``objects`` share, each face in a cell of its
-    own; the atlas (N, N, 4 k), row 0 at the bottom."""
+    own; the atlas (N, N, 4 k), row 0 at the bottom.  With ``direct``, a second one of other
+    numbers for light that did not bounce."""
     values = atlas_values(layout, size)
-    names = [slot for slot in layout.slots if slot]
-    path = folder / f"{objects[0].name}.exr"
-    write_tiles(path, values[..., : len(names)], names, half=False, metadata={"prtBaker": "test"})
-    image = atlas_images.load(path, "PRT Atlas", atlas_images.Atlas(size, 0.5, "test"))
+    image = image_of(folder / f"{objects[0].name}.exr", layout, values)
+    if direct:
+        apart = 0.6 * atlas_values(layout.direct, size)[::-1]
+        path = folder / f"{objects[0].name}_direct.exr"
+        atlas_images.set_direct(image, image_of(path, layout.direct, apart))
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
     faces = [face_sizes(obj, depsgraph) for obj in objects]
@@ -33,12 +35,20 @@ def bake_in_texture(folder, objects, layout=ORDER_3, size=64, own_uvs=False):
         by_modifier = carrier.needs_modifier(obj, depsgraph)
         mark = make_stamp(obj, layout, "CORNER", by_modifier)
         mark = replace(mark, carrier="texture", atlas_size=size, own_uvs=own_uvs)
+        mark = replace(mark, direct=direct, bounces=int(direct))
         empty = vars(layouts.unpack(layout, np.empty((0, len(layout.slots)), np.float32)))
         result = ReceiverResult(obj.name, element_points=NOTHING, in_atlas=InAtlas(0, uvs), **empty)
         baked.append((obj, result, mark))
     writeback.write(bpy.context.scene, baked, layout, [image])
     bpy.context.view_layer.update()
     return values
+
+
+def image_of(path, layout, values):
+    """An atlas of ``values`` (N, N, 4 k) of ``layout`` in a file at ``path``."""
+    names = [slot for slot in layout.slots if slot]
+    write_tiles(path, values[..., : len(names)], names, half=False, metadata={"prtBaker": "test"})
+    return atlas_images.load(path, "PRT Atlas", atlas_images.Atlas(len(values), 0.5, "test"))
 
 
 def atlas_values(layout, size):

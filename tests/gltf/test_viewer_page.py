@@ -80,6 +80,7 @@ def test_the_controls_do_what_they_say(page, file):
     assert found["outputs"][:2] == ["77°", "40°"]
     assert found["options"] == {
         "albedo": False,
+        "bounces": True,
         "residual": False,
         "lights": True,
         "background": False,

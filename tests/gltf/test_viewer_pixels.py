@@ -31,18 +31,19 @@ return {{ ...said, ...pose, pivot: pivot.position.toArray() }};
 """
 SEE = f"""
 const {{ stage }} = viewer;
-const {{ pixels, albedo, ...turns }} = asked;
-stage.set({{ background: false, albedo }});
+const {{ pixels, albedo, bounces, ...turns }} = asked;
+stage.set({{ background: false, albedo, bounces }});
 stage.turn(turns);
 const of = (picture) => pixels.map((p) => Array.from(picture.slice(4 * p, 4 * p + 3)));
 return [of(stage.readFloat({WIDTH}, {HEIGHT})), of(stage.readBytes())];
 """
 
 
-def see(page, pixels, environment=0.0, model=0.0, albedo=True):
+def see(page, pixels, environment=0.0, model=0.0, **switches):
     """``pixels`` (H) of the picture, bottom row first, as floats and as bytes, (H, 3) each."""
-    asked = {"environment": environment, "model": model, "albedo": albedo}
-    found = page.run(f"const asked = {json.dumps({**asked, 'pixels': pixels.tolist()})}; {SEE}")
+    asked = {"environment": environment, "model": model, "albedo": True, "bounces": True}
+    asked |= {**switches, "pixels": pixels.tolist()}
+    found = page.run(f"const asked = {json.dumps(asked)}; {SEE}")
     return map(np.array, found)
 
 

@@ -23,12 +23,12 @@ def about_z(degrees):
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
 
 
-def expected(objects, camera, turned_world=0.0, turned_model=0.0):
+def expected(objects, camera, turned_world=0.0, turned_model=0.0, bounces=True):
     """The pixels (H) of a picture, bottom row first, that single triangles fill, and their exit
-    radiance (H, 3); ``camera`` as the page tells it."""
+    radiance (H, 3); ``camera`` as the page tells it.  Without ``bounces``, of what was kept so."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     turn = about_z(turned_world - turned_model)
-    parts = [_of_object(obj, depsgraph, turn) for obj in objects]
+    parts = [_of_object(obj, depsgraph, turn, bounces) for obj in objects]
     triangles = np.concatenate([part.triangles for part in parts])
     rng = np.random.default_rng(1)
     pixels = rng.choice(WIDTH * HEIGHT, PIXELS, replace=False)
@@ -94,8 +94,10 @@ class Part:
     radiance: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def _of_object(obj, depsgraph, turn):
+def _of_object(obj, depsgraph, turn, bounces):
     made = stamp.read(obj)
+    prefix = "_PRT_" if bounces or not made.direct else "_PRT_DIRECT_"
+    packing = made.sets[prefix]
     with carrier.evaluated_mesh(obj, depsgraph) as mesh:
         triangles = mesh.loop_triangles
         mesh.calc_loop_triangles()
@@ -104,20 +106,21 @@ def _of_object(obj, depsgraph, turn):
         slots = np.array([t.material_index for t in triangles])
         positions = np.array([v.co[:] for v in mesh.vertices])
         uvs = uv_maps.read(mesh) if made.in_atlas else None
-        columns = [] if made.in_atlas else [_values(mesh, n) for n in made.packing.attributes]
+        columns = [] if made.in_atlas else [_values(mesh, n) for n in packing.called(prefix)]
     world = np.array(obj.matrix_world)
     positions = (positions @ world[:3, :3].T + world[:3, 3])[vertices]
     if made.in_atlas:
-        atlas = atlas_images.columns(stamp.image_of(obj), len(made.packing.attributes))
+        image = atlas_images.both(stamp.image_of(obj))[prefix != "_PRT_"]
+        atlas = atlas_images.columns(image, len(packing.attributes))
 
         def radiance(index, weights):
             at = np.einsum("hk,hkc->hc", weights, uvs[loops[index]])
-            values = layouts.unpack(made.packing, bilinear(atlas, at).astype(np.float32))
-            return _radiance(obj, made, values, turn)
+            values = layouts.unpack(packing, bilinear(atlas, at).astype(np.float32))
+            return _radiance(obj, packing, values, turn)
 
         return Part(positions, _albedo(obj)[slots], radiance)
-    values = layouts.unpack(made.packing, np.concatenate(columns, axis=1))
-    corners = _radiance(obj, made, values, turn)[vertices if made.domain == "POINT" else loops]
+    values = layouts.unpack(packing, np.concatenate(columns, axis=1))
+    corners = _radiance(obj, packing, values, turn)[vertices if made.domain == "POINT" else loops]
     return Part(
         positions,
         _albedo(obj)[slots],
@@ -142,12 +145,12 @@ def bilinear(image, uvs):
     return (1 - v) * below + v * above
 
 
-def _radiance(obj, made, values, turn):
+def _radiance(obj, packing, values, turn):
     """(E, 3) of a white surface, not clamped."""
     state = light_state.read(bpy.context.scene)
     now = sh.rotate(state.radiance_sh, turn)
-    peaks = state.peaks[: made.packing.lights]
-    terms = residual.terms(now, state.baked_radiance_sh, made.packing.turns, peaks)
+    peaks = state.peaks[: packing.lights]
+    terms = residual.terms(now, state.baked_radiance_sh, packing.turns, peaks)
     return residual.shaded(values.transfer, now) + residual.beyond(values, terms, stamp.share(obj))
 
 
