@@ -230,23 +230,9 @@ def _with_what_is_shown(
 
 
 def _stamp(obj: bpy.types.Object, layout: Layout, domain: str) -> stamp.Stamp:
-    """The stamp of ``obj`` as it is now, its figures still empty; ``layout`` may become less."""
-    matrix = obj.matrix_world
-    return stamp.Stamp(
-        order=layout.order,
-        channels=layout.channels,
-        layout=layout.slots,
-        carrier="vertex",
-        domain=domain,
-        by_modifier=carrier.needs_modifier(obj, bpy.context.evaluated_depsgraph_get()),
-        job_hash="",
-        mesh_signature=scene.mesh_signature(obj),
-        matrix=tuple(value for column in matrix.to_3x3().transposed() for value in column),
-        location=tuple(matrix.translation),
-        points=0,
-        rays=0,
-        mrays_per_second=0.0,
-    )
+    """The stamp of ``obj`` as it is now; ``layout`` may become less."""
+    by_modifier = carrier.needs_modifier(obj, bpy.context.evaluated_depsgraph_get())
+    return stamp.blank(obj, layout, domain, by_modifier, scene.mesh_signature(obj))
 
 
 def _write(

@@ -142,8 +142,10 @@ class glTF2ImportUserExtension:  # the importer looks for this name
                 continue
             shares[obj] = turn is UNTURNED
             layout = _shown(bake.layout, len(light.peaks), shares[obj])
-            made = _stamp(obj, layout, carrier.needs_modifier(obj, depsgraph))
-            made = replace(made, bounces=ALL if bake.bounces else 0, direct=bake.direct is not None)
+            by_modifier = carrier.needs_modifier(obj, depsgraph)
+            made = stamp.blank(obj, layout, "POINT", by_modifier, scene.mesh_signature(obj))
+            made = replace(made, points=len(obj.data.vertices), direct=bake.direct is not None)
+            made = replace(made, bounces=ALL if bake.bounces else 0)
             if bake.images:
                 atlas = gltf_pictures.FileAtlas(bake, layout, turn)
                 made = replace(made, carrier="texture", domain="CORNER")
@@ -274,26 +276,6 @@ def _result(
         elements = np.arange(len(floats), dtype=np.int32)
         results.append(ReceiverResult(obj.name, element_points=elements, **found))
     return results[0].with_direct(results[1]) if bake.direct is not None else results[0]
-
-
-def _stamp(obj: bpy.types.Object, layout: Layout, by_modifier: bool) -> stamp.Stamp:
-    """What is known of a bake that another Blender made."""
-    matrix = obj.matrix_world
-    return stamp.Stamp(
-        order=layout.order,
-        channels=layout.channels,
-        layout=layout.slots,
-        carrier="vertex",
-        domain="POINT",
-        by_modifier=by_modifier,
-        job_hash="",
-        mesh_signature=scene.mesh_signature(obj),
-        matrix=tuple(value for column in matrix.to_3x3().transposed() for value in column),
-        location=tuple(matrix.translation),
-        points=len(obj.data.vertices),
-        rays=0,
-        mrays_per_second=0.0,
-    )
 
 
 def _with(mark: stamp.Stamp, layout: Layout) -> stamp.Stamp:

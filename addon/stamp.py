@@ -98,6 +98,28 @@ class Stamp:
         return self.packing.turns > 0 or self.packing.lights > 0
 
 
+def blank(
+    obj: bpy.types.Object, layout: Layout, domain: str, by_modifier: bool, mesh_signature: str
+) -> Stamp:
+    """The stamp of a bake on vertices of ``obj`` as it stands, its figures still empty."""
+    matrix = obj.matrix_world
+    return Stamp(
+        order=layout.order,
+        channels=layout.channels,
+        layout=layout.slots,
+        carrier="vertex",
+        domain=domain,
+        by_modifier=by_modifier,
+        job_hash="",
+        mesh_signature=mesh_signature,
+        matrix=tuple(value for column in matrix.to_3x3().transposed() for value in column),
+        location=tuple(matrix.translation),
+        points=0,
+        rays=0,
+        mrays_per_second=0.0,
+    )
+
+
 def read(obj: bpy.types.Object) -> Stamp | None:
     """The stamp of ``obj``; None where it was never baked, or by a version that we don't know."""
     text = obj.get(KEY)

@@ -1,11 +1,12 @@
 """Made-up bakes, to be written without an engine."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
-from prt_baker.addon import carrier, writeback
+from prt_baker.addon import carrier, stamp, writeback
 from prt_baker.addon import scene as scenes
 from prt_baker.addon.prt.results import ReceiverResult
-from prt_baker.addon.stamp import Stamp
 
 
 def quad(scene, x=0.0, y=0.0, material=None, name="Quad"):
@@ -106,23 +107,8 @@ def constant_bake(obj, layout):
 
 def stamp_for(obj, layout, domain):
     by_modifier = carrier.needs_modifier(obj, bpy.context.evaluated_depsgraph_get())
-    return Stamp(
-        order=layout.order,
-        channels=layout.channels,
-        layout=layout.slots,
-        carrier="vertex",
-        domain=domain,
-        by_modifier=by_modifier,
-        job_hash="",
-        mesh_signature=scenes.mesh_signature(obj),
-        matrix=tuple(
-            obj.matrix_world.to_3x3().transposed()[i][j] for i in range(3) for j in range(3)
-        ),
-        location=tuple(obj.matrix_world.translation),
-        points=len(obj.data.vertices),
-        rays=0,
-        mrays_per_second=0.0,
-    )
+    made = stamp.blank(obj, layout, domain, by_modifier, scenes.mesh_signature(obj))
+    return replace(made, points=len(obj.data.vertices))
 
 
 def write(scene, layout, *objects, domain="POINT"):

@@ -82,19 +82,4 @@ def smooth_values(places, layout):
 
 def make_stamp(obj, layout, domain, by_modifier):
     """What a bake of ``obj`` as it stands would say."""
-    world = np.array(obj.matrix_world)
-    return stamp.Stamp(
-        order=layout.order,
-        channels=layout.channels,
-        layout=layout.slots,
-        carrier="vertex",
-        domain=domain,
-        by_modifier=by_modifier,
-        job_hash="",
-        mesh_signature=mesh_signature(obj),
-        matrix=tuple(world[:3, :3].ravel(order="F").tolist()),
-        location=tuple(world[:3, 3].tolist()),
-        points=0,
-        rays=0,
-        mrays_per_second=0.0,
-    )
+    return stamp.blank(obj, layout, domain, by_modifier, mesh_signature(obj))
