@@ -6,6 +6,7 @@ scene as it was.  Between two steps only names are kept: an undo kills pointers.
 
 from collections.abc import Generator, Sequence
 from dataclasses import replace
+from math import sqrt
 from pathlib import Path
 from typing import Any
 
@@ -280,11 +281,24 @@ def _figures(
         "points": entry["points"],
         "rays": round(entry.get("rays_per_point", report["settings"]["rays"])),
         "mrays_per_second": entry["mrays_per_second"],
-        "estimated_error": entry["surface_error" if in_atlas else "estimated_error"],
+        "estimated_error": entry["surface_error"] if in_atlas else _noise(entry),
         "interpolation_error": None if in_atlas else entry.get("interpolation_error"),
         "plain_error": _plain_error(layout, result, state),
         **_measured(entry["measured_error"]),
+        **({"measured_at_points": None} if _is_fitted(entry) else {}),
     }
+
+
+def _is_fitted(entry: Report) -> bool:
+    """Whether a fit shows less noise than there was where its rays started."""
+    return bool(entry.get("values", {}).get("fitted", 0) > 0.5)
+
+
+def _noise(entry: Report) -> float:
+    """The noise that is shown."""
+    if not _is_fitted(entry):
+        return float(entry["estimated_error"])
+    return sqrt(max(0.0, entry["surface_error"] ** 2 - entry["interpolation_error"] ** 2))
 
 
 def _measured(error: Report | None) -> dict[str, float | None]:

@@ -35,12 +35,13 @@ class Stamp:
     artist's, ``uv_key`` otherwise what atlas it was made for.  ``why`` this carrier was chosen,
     where the artist left it open.
 
-    Errors are relative RMS, None where unknown.  Of the transfer: ``estimated_error`` is its noise,
-    ``interpolation_error`` what the mesh loses between its vertices, ``measured_error`` both, as
-    *Verify* found them, and ``measured_at_points`` the noise alone.  Of the light that leaves a
-    white surface: ``light_error`` as measured where the world is ``light_at_bake`` (else it was
-    another one by then), and ``plain_error``, what the light's order leaves out where no residual
-    mends it.  Of what points see, where that is stored: ``visibility_error`` as measured.
+    Errors are relative RMS, None where unknown.  Of the transfer: ``estimated_error`` is the noise
+    that it shows, ``interpolation_error`` what the mesh loses between its vertices,
+    ``measured_error`` both, as *Verify* found them, and ``measured_at_points`` the noise alone.
+    Of the light that leaves a white surface: ``light_error`` as measured where the world is
+    ``light_at_bake`` (else it was another one by then), and ``plain_error``, what the light's order
+    leaves out where no residual mends it.  Of what points see, where that is stored:
+    ``visibility_error`` as measured.
     ``bounces`` are those that were asked for, and ``direct`` is whether the light without them
     was kept."""
 

@@ -252,6 +252,22 @@ def test_the_noise_of_few_rays_is_estimated_and_measured(scene):
     assert entry["estimated_error"] == pytest.approx(entry["measured_error"]["at_points"], rel=0.5)
 
 
+def test_a_fit_says_what_noise_it_shows(scene):
+    """Not what its rays had, which it smooths."""
+    environment(scene, generated(picture()))
+    bpy.ops.mesh.primitive_torus_add(major_segments=96, minor_segments=48)
+    torus = bpy.context.object
+    torus.data.shade_smooth()
+    settings = Settings(rays=128, verify_points=256, verify_rays=8192)
+    [entry] = baked(scene, [torus], settings)["objects"]
+    assert entry["values"]["fitted"] == 1
+    mark = stamp.read(torus)
+    assert mark.estimated_error < 0.7 * entry["estimated_error"]
+    assert mark.measured_at_points is None
+    both = np.hypot(mark.estimated_error, mark.interpolation_error)
+    assert both == pytest.approx(mark.measured_error, rel=0.5)
+
+
 def test_a_bake_is_one_step_of_undo(scene):
     stage(scene)
     scene.prt.rays = 16
