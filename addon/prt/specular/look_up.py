@@ -66,11 +66,11 @@ class Potential:
         inside /= inside[-1]
         slope = np.full(STEPS, inside[1] / x[1] - 1)
         slope[1:] = (inside[1:] - x[1:]) / (x[1:] * (1 - x[1:]))
-        rises = 0.5 * (slope[1:] + slope[:-1]) * np.diff(x)
+        rises = _between(slope) * np.diff(x)
         values = np.append(np.cumsum(rises[::-1])[::-1], 0) + np.log(2)
-        offset = 0.5 * np.log(2) + 0.5 - np.trapezoid(values, x)  # the mean of -log x is 1
+        offset = 0.5 * np.log(2) + 0.5 - _between(values) @ np.diff(x)  # the mean of -log x is 1
         values += offset
-        energy = float(np.trapezoid(values, inside))
+        energy = float(_between(values) @ np.diff(inside))
         return cls(squared, steps, values, energy, float(offset))
 
     def __call__(self, x: Float) -> Float:
@@ -128,3 +128,8 @@ def at(roughness: npt.ArrayLike, n_v: npt.ArrayLike) -> tuple[Float, Float]:
     """Each (P,), as the nodes read them."""
     found = table.bilinear(load(), roughness, n_v)
     return found[:, 0], found[:, 1]
+
+
+def _between(values: Float) -> Float:
+    """The means of neighbours."""
+    return 0.5 * (values[1:] + values[:-1])
