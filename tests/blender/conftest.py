@@ -1,6 +1,9 @@
 """An empty file for every test, with the add-on registered."""
 
 import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
 
 import bpy
 import pytest
@@ -19,3 +22,13 @@ def scene(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     return bpy.context.scene
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder for jobs, which each of them leaves empty."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield folder
+    assert list(folder.iterdir()) == []

@@ -1,7 +1,6 @@
 """Whatever the input is: the right bake, or one sentence, exit code 2 and nothing half-written."""
 
 import resource
-import tempfile
 
 import bmesh
 import bpy
@@ -15,15 +14,7 @@ from prt_baker.addon.prt import sh
 from prt_baker.addon.prt.files import images
 from worlds import environment, loaded, new_world, picture
 
-
-@pytest.fixture(autouse=True)
-def temporary(tmp_path, monkeypatch):
-    """The folder for jobs, which each of them leaves empty."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield folder
-    assert list(folder.iterdir()) == []
+pytestmark = pytest.mark.usefixtures("temporary")
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """The whole way with the real engine: what it computes is what the scene holds, or nothing is."""
 
-import tempfile
 from contextlib import suppress
 
 import bmesh
@@ -34,14 +33,7 @@ FEW = Settings(rays=32, seed=5, threads=1)
 LONG = Settings(rays=65536, threads=1)
 
 
-@pytest.fixture(autouse=True)
-def temporary(tmp_path, monkeypatch):
-    """The folder for jobs, which each of them leaves empty."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield folder
-    assert list(folder.iterdir()) == []
+pytestmark = pytest.mark.usefixtures("temporary")
 
 
 def grid(count=4):

@@ -4,7 +4,6 @@
 """
 
 import os
-import tempfile
 import time
 from contextlib import closing
 
@@ -23,14 +22,7 @@ LONGEST = 2.0  # seconds between two signs of life
 SETTINGS = Settings(rays=64, seed=5, resolution=SIZE)
 
 
-@pytest.fixture(autouse=True)
-def temporary(tmp_path, monkeypatch):
-    """The folder for jobs, which each of them leaves empty."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield folder
-    assert list(folder.iterdir()) == []
+pytestmark = pytest.mark.usefixtures("temporary")
 
 
 @pytest.fixture
