@@ -144,8 +144,12 @@ class glTF2ImportUserExtension:  # the importer looks for this name
             layout = _shown(bake.layout, len(light.peaks), shares[obj])
             by_modifier = carrier.needs_modifier(obj, depsgraph)
             made = stamp.blank(obj, layout, "POINT", by_modifier, scene.mesh_signature(obj))
-            made = replace(made, points=len(obj.data.vertices), direct=bake.direct is not None)
-            made = replace(made, bounces=ALL if bake.bounces else 0)
+            made = replace(
+                made,
+                points=len(obj.data.vertices),
+                bounces=ALL if bake.bounces else 0,
+                direct=bake.direct is not None,
+            )
             if bake.images:
                 atlas = gltf_pictures.FileAtlas(bake, layout, turn)
                 made = replace(made, carrier="texture", domain="CORNER")

@@ -227,15 +227,13 @@ class Bake(ABC, Generic[What]):
         """About how many rays a point traces towards the map's light."""
         return self._scene.world.turns * self._settings.map_rays / 2
 
-    def _trace(
-        self,
-        origins: Array,
-        normals: Array,
-        rays: int,
-        azimuth: npt.NDArray[np.float64] | None = None,
-    ) -> Generator[int, None, Array]:
+    def _azimuths(self, origins: Array, normals: Array) -> npt.NDArray[np.float64] | None:  # noqa: ARG002
+        """By what angles the rays of places are turned (M,); None is at random."""
+        return None
+
+    def _trace(self, origins: Array, normals: Array, rays: int) -> Generator[int, None, Array]:
         """Transfer, residuals, peaks and visibility (M, n² + 3 turns + peaks + v²) at ``origins``
-        (M, 3), whose rays are turned by ``azimuth`` (M,) or, without it, at random."""
+        (M, 3)."""
         world, coefficients = self._scene.world.exact, self._settings.order**2
         gather, visibility_order = world.gather if world else None, self._settings.visibility_order
         columns = coefficients + (gather.columns if gather else 0) + visibility_order**2
@@ -252,7 +250,7 @@ class Bake(ABC, Generic[What]):
             shortcuts=replace(shortcuts, bits=bits, known=known, look=self._look or recorder),
             gather=gather,
             visibility_order=visibility_order,
-            azimuth=azimuth,
+            azimuth=self._azimuths(origins, normals),
         )
         if self._keeper is not None and isinstance(self._tape, Tape):
             settings = replace(self._settings, rays=rays)

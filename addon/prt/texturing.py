@@ -203,21 +203,17 @@ class TextureWork(Bake[Found]):
         """See Bake."""
         return self._leaving is not None
 
-    def _trace(
-        self,
-        origins: Array,
-        normals: Array,
-        rays: int,
-        azimuth: npt.NDArray[np.float64] | None = None,
-    ) -> Generator[int, None, Array]:
+    def _azimuths(self, origins: Array, normals: Array) -> npt.NDArray[np.float64]:
+        """By their places: which texels are traced follows from the light."""
+        return identity.azimuths(identity.keys(origins, normals), self._settings.seed)
+
+    def _trace(self, origins: Array, normals: Array, rays: int) -> Generator[int, None, Array]:
         """As without bounces, and what these bring, before the visibility."""
-        if azimuth is None:
-            azimuth = identity.azimuths(identity.keys(origins, normals), self._settings.seed)
         if self._leaving is None:
-            return (yield from super()._trace(origins, normals, rays, azimuth))
+            return (yield from super()._trace(origins, normals, rays))
         more = np.zeros((len(origins), self._leaving.table.shape[1]), np.float32)
         self._look = self._leaving.look(rays, more)
-        direct, seen = self._apart((yield from super()._trace(origins, normals, rays, azimuth)))
+        direct, seen = self._apart((yield from super()._trace(origins, normals, rays)))
         return np.concatenate([direct, more, seen], axis=1)
 
     def _apart(self, values: Array) -> tuple[Array, Array]:

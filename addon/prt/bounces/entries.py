@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..job import Job
+from ..mixing import mixed
 from ..surface.points import Points, element_triangles
 from ..tracing.rays import Met
 
@@ -29,7 +30,6 @@ CELL = 1 / 24  # of the receivers' extent: the side of a cell
 MOST_ROWS = 128  # of cells in one triangle
 TO_CORNER = 0.75 / 3 * np.array([[-1, -1], [2, -1], [-1, 2]])  # of a lower cell's side
 CORNER = 2 / 3  # the place that stands for a corner's share of a triangle: its own coordinate
-MIXERS = np.array([0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 
 
 @dataclass(frozen=True)
@@ -190,13 +190,3 @@ def _triangle_keys(corners: Keys) -> tuple[Keys, Index]:
     of them comes first; and the order (F, 3) of the corners from the one that is first here."""
     turned = (corners.argmin(axis=1)[:, None] + np.arange(3)) % 3
     return mixed(np.take_along_axis(corners, turned, axis=1).T), turned
-
-
-def mixed(columns: Keys) -> Keys:
-    """One number (N,) for each of ``columns`` (C, N), as splitmix64 does it."""
-    mixed = np.zeros(columns.shape[1], np.uint64)
-    for column in columns:
-        mixed = (mixed ^ column) * MIXERS[0]
-        mixed = (mixed ^ (mixed >> np.uint64(31))) * MIXERS[1]
-        mixed ^= mixed >> np.uint64(29)
-    return mixed

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .entries import mixed
+from ..mixing import mixed
 
 Index = npt.NDArray[np.int64]
 Float = npt.NDArray[np.float64]

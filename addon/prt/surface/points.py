@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..job import Receiver
+from ..mixing import mixed
 
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -24,7 +25,6 @@ BIAS = 2.0**-19  # of the largest coordinate nearby: 16 steps of float32
 PLANE = 2.0**-22  # of a triangle's longest side over its height: 4 steps of float32
 SLIVER = 1e-2  # height of a triangle over its longest side
 NORMAL_STEPS = 2**14  # normals closer than one step are one
-MIXERS = np.array([0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 LOW_BITS = np.uint64(0xFFFFFFFF)
 PIECE = 1 << 14
 ANGLE_STEPS = 2.0**28
@@ -181,14 +181,10 @@ def _distinct(
         keys[0, part] = bits[:, 0].astype(np.uint64) << np.uint64(32) | bits[:, 1]
         keys[1, part] = bits[:, 2].astype(np.uint64) << np.uint64(32) | steps[0] & LOW_BITS
         keys[2, part] = steps[1] << np.uint64(32) | steps[2] & LOW_BITS
-    mixed = np.zeros(len(vertices), np.uint64)
-    for key in keys:  # as splitmix64 does: a sign is a number's highest bit, which must spread
-        mixed = (mixed ^ key) * MIXERS[0]
-        mixed = (mixed ^ (mixed >> np.uint64(31))) * MIXERS[1]
-        mixed ^= mixed >> np.uint64(29)
-    order = np.argsort(mixed)  # equal keys stand together, which is all it takes
+    whole = mixed(keys)
+    order = np.argsort(whole)  # equal keys stand together, which is all it takes
     is_new = np.ones(len(order), bool)
-    is_new[1:] = np.diff(mixed[order]) != 0
+    is_new[1:] = np.diff(whole[order]) != 0
     for key in keys:  # what mixes alike may still differ
         is_new[1:] |= np.diff(key[order]) != 0
     starts = np.flatnonzero(is_new)

@@ -30,8 +30,7 @@ class Places:
 def random_places(areas: Float, count: int, seed: int) -> Places:
     """``count`` places, uniform over triangles with ``areas`` (F,)."""
     rng = np.random.default_rng([seed, count])
-    share = np.cumsum(areas)
-    triangles = np.searchsorted(share, rng.random(count) * share[-1])
+    triangles = _drawn(areas, count, rng)
     u, v = rng.random((2, count))
     return Places(triangles, _barycentric(u, v))
 
@@ -43,8 +42,7 @@ def stratified_places(
     says: one in each of ``count`` equal parts of it along a Z curve, and none near an edge."""
     rng = np.random.default_rng([seed, count])
     if CANDIDATES * count < len(chosen):  # a curve through all of them would not pay
-        share = np.cumsum(density)
-        some = np.searchsorted(share, rng.random(CANDIDATES * count) * share[-1])
+        some = _drawn(density, CANDIDATES * count, rng)
         chosen, density = chosen[some], np.ones(len(some))
     along = morton_order(surface.corners[chosen].mean(axis=1))
     order, share = chosen[along], np.cumsum(density[along])
@@ -54,6 +52,12 @@ def stratified_places(
     triangles = order[np.minimum(found, len(order) - 1)]
     spread = [(0.5 + i * PLASTIC**-power) % 1 for power in (1, 2)]
     return Places(triangles, EDGE + (1 - 3 * EDGE) * _barycentric(spread[0], spread[1]))
+
+
+def _drawn(weights: Float, count: int, rng: np.random.Generator) -> Index:
+    """``count`` of the rows of ``weights`` (N,), each as likely as its weight says."""
+    share = np.cumsum(weights)
+    return np.asarray(np.searchsorted(share, rng.random(count) * share[-1]))
 
 
 def _barycentric(u: npt.NDArray[Any], v: npt.NDArray[Any]) -> Float:

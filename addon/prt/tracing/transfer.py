@@ -140,7 +140,7 @@ class Tracer:
         self._turn = Turn(settings.order)
         self._seen_sh = VisibilitySet(settings.rays, visibility_order) if visibility_order else None
         self._shortcuts, self._gather = shortcuts, gather
-        self._open = OpenRays(shortcuts.horizon, points, settings.rays)
+        self.open_rays = OpenRays(shortcuts.horizon, points, settings.rays)
         self._ones_and_local = np.insert(self._local, 0, 1, axis=1)
         step = max(1, shortcuts.shown if shortcuts.look else shortcuts.pilot)
         first = step // 2 if shortcuts.look else 0
@@ -150,20 +150,12 @@ class Tracer:
         self._others_in_world = RaysInWorld(hemisphere.directions[~chosen])
         self._buffers = threading.local()
 
-    def pieces(self) -> list[slice]:
-        """What is to be looked at before the parts are known."""
-        return self._open.pieces()
-
-    def look(self, piece: slice) -> None:
-        """Look at one of the pieces."""
-        self._open.find(piece)
-
     def parts(self) -> Iterator[Alike]:
         """Some groups of points each, neighbours where they can be."""
         count = len(self.points.origins)
         rays = int(np.clip(count * self.rays // PARTS, *PART_RAYS))
         size = max(4, min(128, rays // (GROUP * self.rays)))
-        for alike in self._open.alike():
+        for alike in self.open_rays.alike():
             for start in range(0, len(alike.groups), size):
                 yield replace(alike, groups=alike.groups[start : start + size])
 
@@ -265,7 +257,7 @@ class Tracer:
             visible[:] = self._sky(self._in_world, batch.origins, batch.matrices, first)
             return visible.size
         azimuth = self._azimuth_turns[batch.numbers]
-        is_open = self._open.mask(batch.numbers, self._direction_turns, azimuth, first)
+        is_open = self.open_rays.mask(batch.numbers, self._direction_turns, azimuth, first)
         visible[:] = is_open
         rest = np.flatnonzero(~is_open)
         point = rest // is_open.shape[1]
@@ -375,7 +367,7 @@ def trace_all(
     counts: Counts = Counter()
     pool = workers(settings.threads)
     try:
-        for _ in pool.map(tracer.look, tracer.pieces()):
+        for _ in pool.map(tracer.open_rays.find, tracer.open_rays.pieces()):
             yield 0
         pending = {pool.submit(tracer.trace, part, out) for part in tracer.parts()}
         while pending:
