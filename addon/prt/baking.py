@@ -71,8 +71,9 @@ class Scene:
             return self._whole.occlusion
         with self.meter.phase("acceleration structure"):
             job = self.job
+            starts = () if job.bounces else job.occluder_starts  # light bounces off triangles
             threads, rays = job.settings.threads, self._rays()
-            return occlusion(job.occluder_vertices, job.occluder_triangles, rays, threads)
+            return occlusion(job.occluder_vertices, job.occluder_triangles, rays, threads, starts)
 
     @cached_property
     def channels(self) -> int:

@@ -11,7 +11,8 @@ Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 CLUSTERS = 1024
-CELLS = 27  # along each axis: a cluster lies in one cell
+CELLS = 22  # along each axis: a cluster lies in one cell
+FLAT = 1e-6  # sin² of the angle between two triangles of one plane
 CHUNK = 1 << 18  # triangles
 
 
@@ -72,8 +73,9 @@ def highest(corners: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
 def _keys(
     vertices: npt.NDArray[np.floating], triangles: npt.NDArray[np.int32]
 ) -> npt.NDArray[np.uint16]:
-    """For each triangle the cell of a grid that its first corner lies in and the side that it
-    faces, so that what stands on a floor is not gathered with it."""
+    """For each triangle the cell of a grid that its first corner lies in, the side that it faces,
+    and whether the one after or before it faces just there too, so that what stands on a floor is
+    not gathered with it."""
     low = vertices.min(axis=0)
     extent = max(float((vertices.max(axis=0) - low).max()), 1e-30)
     keys = np.empty(len(triangles), np.uint16)
@@ -82,8 +84,17 @@ def _keys(
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         cell = ((corners[:, 0] - low) * (CELLS / extent)).clip(0, CELLS - 1).astype(np.int64)
         places = (cell[:, 0] * CELLS + cell[:, 1]) * CELLS + cell[:, 2]
-        keys[start : start + CHUNK] = places * 3 + np.abs(normals).argmax(axis=1)
+        sides = places * 3 + np.abs(normals).argmax(axis=1)
+        keys[start : start + CHUNK] = sides * 2 + _flat(normals)
     return keys
+
+
+def _flat(normals: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    """Which of neighbouring triangles with ``normals`` (F, 3) face where their neighbour does."""
+    square = np.einsum("fc,fc->f", normals, normals)
+    alike = np.einsum("fc,fc->f", normals[1:], normals[:-1])
+    alike = alike**2 >= (1 - FLAT) * square[1:] * square[:-1]
+    return np.asarray(np.append(alike, False) | np.insert(alike, 0, False))
 
 
 def _starts(keys: npt.NDArray[np.uint16], part_of: Index, size: int) -> Index:

@@ -9,6 +9,7 @@ elevation of its own: things that stand around leave the view between them open.
 Every bound is conservative.
 """
 
+from dataclasses import dataclass
 from math import pi
 
 import numpy as np
@@ -18,6 +19,8 @@ from .clusters import Clusters, Float
 from .hemisphere import frames
 
 SECTORS = 32  # about the normal, a power of two
+BRANCHES = 4  # groups of points that are one group
+FAR = 6  # times as far away as points are apart: then these are looked at together
 MARGIN = 1e-3  # radians: more than rounding turns a direction by
 SAME = 1e-4  # difference of two frames that are one
 FRAMES = 8  # of blocks that are looked at together
@@ -30,9 +33,10 @@ class Horizon:
     def __init__(self, clusters: Clusters) -> None:
         self._clusters = clusters
 
-    def open_shares(self, origins: npt.ArrayLike, normals: npt.ArrayLike) -> Float:
-        """For blocks of points (B, K, 3) with unit normals: sin² of the angle (B, SECTORS) to the
-        normal within which every direction of every point of the block reaches the sky.
+    def open_shares(self, origins: npt.ArrayLike, normals: npt.ArrayLike, parts: int = 1) -> Float:
+        """For blocks of points (B, K, 3) with unit normals, in so many ``parts`` of neighbours
+        each: sin² of the angle (B, parts, SECTORS) to the normal within which every direction of
+        every point of the part reaches the sky.
 
         Sectors are counted from the tangent of ``hemisphere.frames``.  Their mean is the share of a
         cosine-distributed set that needs no ray.
@@ -43,50 +47,64 @@ class Horizon:
         axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-30)
         nearest = np.einsum("bkc,bc->bk", its_normals, axis).min(axis=1)
         tilt = np.arccos(np.clip(nearest, -1, 1))
-        shares = np.empty((len(places), SECTORS))
+        shares = np.empty((len(places), parts, SECTORS))
         frame = _common_frames(its_normals)
         which, first = _alike(frame)
         for k, row in enumerate(first):
             mine = which == k
-            angles = self._sector_angles(places[mine], frame[row], tilt[mine])
-            shares[mine] = _open(angles)
+            each = places[mine].reshape(-1, places.shape[1] // parts, 3)
+            angles = self._sector_angles(each, frame[row], float(tilt[mine].max()))
+            shares[mine] = _open(angles).reshape(-1, parts, SECTORS)
         others = which < 0
         elevation = self._elevation(places[others], axis[others], tilt[others])
-        shares[others] = _open(elevation)[:, None]
+        shares[others] = _open(elevation)[:, None, None]
         for block in np.flatnonzero(others & (tilt > MIXED)) if places.shape[1] > 1 else ():
             alone = self.open_shares(places[block, :, None], its_normals[block, :, None])
             shares[block] = alone.min()
         return shares
 
-    def _sector_angles(self, places: Float, frame: Float, tilt: Float) -> Float:
+    def _sector_angles(self, places: Float, frame: Float, tilt: float) -> Float:
         """The largest angle (B, SECTORS) at which any cluster rises in each sector of ``frame``
-        (3, 3), the rows tangent, bitangent and normal of points (B, K, 3), whose normals are within
-        ``tilt`` (B,) of it."""
+        (3, 3), the rows tangent, bitangent and normal of neighbouring points (B, K, 3), whose
+        normals are within ``tilt`` of it.
+
+        What is far from many neighbours together is as high for all of them.
+        """
         c = self._clusters
         local = places @ frame.T
-        low, high = local.min(axis=1), local.max(axis=1)
-        middle, reach = 0.5 * (low + high), 0.5 * np.hypot(*(high - low)[:, :2].T)
+        levels = _levels(local.min(axis=1), local.max(axis=1))
         centres, turn = c.centres @ frame.T, c.axes @ frame[2]
         top = centres[:, 2] + np.maximum(c.high * turn, c.low * turn)
         top += c.across * np.sqrt(np.maximum(1 - turn**2, 0))
+        low = levels[0].low
         far = float(np.ptp(np.concatenate([centres[:, :2], low[:, :2]]), axis=0).max(initial=0))
-        slack = 2 * tilt * (2 * far + c.radius.max(initial=0) + reach)
-        above = top > (low[:, 2] - slack).min(initial=np.inf)
-        centres, top, radius = centres[above], top[above], c.radius[above]
-        x, y = (centres[:, k, None] - middle[:, k] for k in (0, 1))
-        sideways, spread = np.sqrt(x * x + y * y), radius[:, None] + reach
-        gap, height = sideways - spread, top[:, None] - low[:, 2]
-        over, beside = height > 0, gap > 0
-        steep = np.where(over, height, 0) / np.where(beside, gap, 1)
-        found = np.repeat(
-            np.where(over & ~beside, np.inf, 0).max(axis=0, initial=0)[:, None], SECTORS, 1
-        )
-        cluster, block = np.nonzero(over & beside)
-        half = np.arcsin((spread / np.maximum(sideways, 1e-30))[cluster, block]) + MARGIN
-        middle_of = np.arctan2(y[cluster, block], x[cluster, block])
-        _raise(found, block, middle_of, half, steep[cluster, block])
-        rises = (height + slack > 0).any(axis=0)
-        return np.asarray(np.where(rises[:, None], np.arctan(found) + tilt[:, None], 0))
+        slack = 2 * tilt * (2 * far + c.radius.max(initial=0) + levels[0].reach.max(initial=0))
+        above = np.flatnonzero(top > low[:, 2].min(initial=np.inf) - slack)
+        found = np.zeros((len(levels[-1].low), SECTORS))
+        block = np.repeat(np.arange(len(found)), len(above))
+        cluster = np.tile(above, len(found))
+        for depth in reversed(range(len(levels))):
+            level = levels[depth]
+            height = top[cluster] - level.low[block, 2]
+            block, cluster, height = (v[height > 0] for v in (block, cluster, height))
+            x, y = (centres[cluster, :2] - level.middle[block]).T
+            sideways, reach = np.sqrt(x * x + y * y), level.reach[block]
+            spread = c.radius[cluster] + reach
+            gap = sideways - spread
+            apart = gap > (FAR * reach if depth else 0)
+            half = np.arcsin(spread[apart] / sideways[apart]) + MARGIN
+            middle = np.arctan2(y[apart], x[apart])
+            _raise(found, block[apart], middle, half, height[apart] / gap[apart])
+            block, cluster = block[~apart], cluster[~apart]
+            if depth:
+                count = len(levels[depth - 1].low)
+                found = np.repeat(found, BRANCHES, axis=0)[:count]
+                block = (BRANCHES * block[:, None] + np.arange(BRANCHES)).reshape(-1)
+                cluster = np.repeat(cluster, BRANCHES)[block < count]
+                block = block[block < count]
+        found[block] = np.inf
+        rises = top.max(initial=-np.inf) > low[:, 2] - slack
+        return np.asarray(np.where(rises[:, None], np.arctan(found) + tilt, 0))
 
     def _elevation(self, places: Float, axis: Float, tilt: Float) -> Float:
         """The largest angle (B,) at which any cluster rises over the tangent planes of points
@@ -109,6 +127,29 @@ class Horizon:
         tangent = np.where(height > 0, steep, 0).max(axis=0, initial=0)
         rises = height + 2 * np.sin(0.5 * tilt) * (distance + spread) > 0
         return np.asarray(np.where(rises.any(axis=0), np.arctan(tangent) + tilt, 0))
+
+
+@dataclass(frozen=True)
+class _Level:
+    """Boxes about groups of points: the ``low`` corner (B, 3), and across the third axis the
+    ``middle`` (B, 2) and the ``reach`` (B,) from there."""
+
+    low: Float
+    middle: Float
+    reach: Float
+
+
+def _levels(low: Float, high: Float) -> list[_Level]:
+    """Of the boxes from ``low`` to ``high`` (B, 3), and of BRANCHES of them together, and of as
+    many of these, up to a few."""
+    levels = list[_Level]()
+    while True:
+        middle, size = 0.5 * (low + high)[:, :2], (high - low)[:, :2]
+        levels.append(_Level(low, middle, 0.5 * np.hypot(*size.T)))
+        if len(low) <= BRANCHES:
+            return levels
+        starts = np.arange(0, len(low), BRANCHES)
+        low, high = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
 
 
 def _open(elevation: Float) -> Float:

@@ -16,6 +16,7 @@ Index = npt.NDArray[np.int64]
 Turns = npt.NDArray[np.uint32]
 
 PIECE = 256  # groups
+PARTS = 4  # of a group, each with a horizon of its own
 STEPS = 32  # of the rays that all points of a batch can save
 PAYS = 0.2  # of a batch's rays: so many have to be saved one by one
 SHIFT = np.uint32(32 - SECTORS.bit_length() + 1)
@@ -47,7 +48,8 @@ class OpenRays:
     def __init__(self, horizon: Horizon | None, points: Points, rays: int) -> None:
         self._horizon, self._points, self._rays = horizon, points, rays
         groups = -(-len(points.origins) // GROUP)
-        self._limits = np.zeros((groups, 1 if horizon is None else SECTORS), np.int32)
+        shape = (groups, 1, 1) if horizon is None else (groups, PARTS, SECTORS)
+        self._limits = np.zeros(shape, np.int32)
 
     def pieces(self) -> list[slice]:
         """Of the groups."""
@@ -62,15 +64,15 @@ class OpenRays:
         rows = np.arange(piece.start * GROUP, (piece.start + len(limits)) * GROUP)
         rows = np.minimum(rows, len(self._points.origins) - 1)
         origins, normals = self._points.origins[rows], self._points.normals[rows]
-        places = (v.reshape(len(limits), GROUP, 3) for v in (origins, normals))
-        shares = self._horizon.open_shares(*places)
+        origins, normals = (v.reshape(len(limits), GROUP, 3) for v in (origins, normals))
+        shares = self._horizon.open_shares(origins, normals, PARTS)
         limits[:] = np.floor(np.minimum(shares + 1e-9, 1) * self._rays)
 
     def alike(self) -> list[Alike]:
         """All groups."""
-        first = self._limits.min(axis=1).astype(np.int64)
+        first = self._limits.min(axis=(1, 2)).astype(np.int64)
         first = first * STEPS // self._rays * self._rays // STEPS
-        more = self._limits.mean(axis=1) - first
+        more = self._limits.mean(axis=(1, 2)) - first
         keys = 2 * first + (more > PAYS * np.maximum(self._rays - first, 1))
         order = np.argsort(keys, kind="stable")
         cuts = np.flatnonzero(np.diff(keys[order])) + 1
@@ -83,6 +85,6 @@ class OpenRays:
         """Which rays (P, N - first) of the points ``numbers`` (P,), turned by ``azimuth`` (P,),
         reach the sky for certain, where all ``directions`` (N,) lie at these angles."""
         sector = (directions[first:] + azimuth[:, None]) >> SHIFT
-        sector += (numbers // GROUP * SECTORS).astype(np.uint32)[:, None]
+        sector += (numbers // (GROUP // PARTS) * SECTORS).astype(np.uint32)[:, None]
         limit = self._limits.reshape(-1).take(sector)
         return np.asarray(np.arange(first, len(directions), dtype=np.int32) < limit)

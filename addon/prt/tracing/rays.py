@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ..errors import BakeError
 from ..parallel import workers
+from . import flats
 
 Vectors = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.int32]
@@ -199,14 +200,21 @@ def _embree_scene(vertices: npt.ArrayLike, triangles: npt.ArrayLike, robust: boo
 
 
 def occlusion(
-    vertices: npt.ArrayLike, triangles: npt.ArrayLike, expected_rays: float = 0, threads: int = 0
+    vertices: npt.ArrayLike,
+    triangles: npt.ArrayLike,
+    expected_rays: float = 0,
+    threads: int = 0,
+    part_starts: npt.ArrayLike = (),
 ) -> Geometry:
     """Embree over ``vertices`` (V, 3) and ``triangles`` (F, 3), in the mode that pays for so many
-    rays; the open sky where F is 0."""
-    count = len(np.asarray(triangles))
-    if not count:
+    rays; the open sky where F is 0.  ``part_starts``, as ``flats.fewer`` reads them, where it does
+    not matter which triangle is met: flat grids are then a few large ones."""
+    corners, faces = np.asarray(vertices, np.float32), np.asarray(triangles, np.int32)
+    if not len(faces):
         return Sky()
-    return Triangles(vertices, triangles, expected_rays > FAST_PAYS * count, threads)
+    if np.size(part_starts):
+        corners, faces = flats.fewer(corners, faces, part_starts)
+    return Triangles(corners, faces, expected_rays > FAST_PAYS * len(faces), threads)
 
 
 def version() -> str:

@@ -1,0 +1,150 @@
+"""Flat grids as the few triangles that cover the same polygon, for rays that only ask whether
+anything is there.
+
+A floor is divided finely because values are baked to its vertices; Embree is done with it sooner
+where it is not.  Only what lies in a plane across an axis is taken, to the last bit: there a large
+triangle's plane is as exact as a small one's.
+"""
+
+from math import pi
+
+import numpy as np
+import numpy.typing as npt
+
+from ..mixing import mixed
+
+Float = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+Vertices = npt.NDArray[np.float32]
+Triangles = npt.NDArray[np.int32]
+
+FEWEST, SHARE = 512, 1 / 64  # triangles, and of all triangles, that a grid has to be worth it
+TURNS = 16  # directions in which a polygon's corners are sought
+LINE = 2.0**-21  # of a polygon's extent: so near its sides the border lies
+AREA = 1e-3  # of the polygon's: the areas add up to it but for this
+CROSSING = 2  # vertices of other things at a side, where these cross it: more may lie along it
+
+
+def fewer(
+    vertices: Vertices, triangles: Triangles, part_starts: npt.ArrayLike
+) -> tuple[Vertices, Triangles]:
+    """Vertices (V', 3) and triangles (F', 3) that cover the same as ``triangles`` (F, 3) of
+    ``vertices`` (V, 3); part k of them is from ``part_starts[k]`` up to the next.
+
+    A part's flat grid is replaced where it covers a convex polygon once, all of it facing one way,
+    and nothing else joins on to its sides, which would leave a slit between their edges.
+    """
+    kept, flats = np.ones(len(triangles), bool), list[Index]()
+    uses = np.bincount(triangles.reshape(-1), minlength=len(vertices))
+    for axis in range(3):
+        for rows in _planes(vertices[:, axis], triangles, np.asarray(part_starts)):
+            corners = _replaced(vertices, triangles[rows], axis, uses)
+            if len(corners):
+                kept[rows] = False
+                flats.append(_fan(corners))
+    if not flats:
+        return vertices, triangles
+    found = np.concatenate([triangles[kept], *flats])
+    used = np.zeros(len(vertices), bool)
+    used[found] = True
+    return vertices[used], (np.cumsum(used) - 1)[found].astype(np.int32)
+
+
+def _planes(heights: Vertices, triangles: Triangles, part_starts: Index) -> list[Index]:
+    """Rows of the triangles of one part that lie at one of the ``heights`` (V,), many together."""
+    first = heights[triangles[:, 0]]
+    rows = np.flatnonzero(first == heights[triangles[:, 1]])
+    rows = rows[first[rows] == heights[triangles[rows, 2]]]
+    fewest = max(FEWEST, SHARE * len(triangles))
+    part = np.searchsorted(part_starts, rows, side="right")
+    order = np.lexsort((first[rows], part))
+    rows, part = rows[order], part[order]
+    cuts = np.flatnonzero((np.diff(first[rows]) != 0) | (np.diff(part) != 0)) + 1
+    return [plane for plane in np.split(rows, cuts) if len(plane) >= fewest]
+
+
+def _replaced(vertices: Vertices, triangles: Triangles, axis: int, uses: Index) -> Index:
+    """The corners (K,), run through as the triangles are, of the polygon that can stand for
+    ``triangles`` in a plane across ``axis``, where all triangles make so many ``uses`` (V,) of the
+    vertices; none where none can."""
+    across = [k for k in range(3) if k != axis]
+    low = int(triangles.min())
+    its_uses = np.bincount((triangles - low).reshape(-1))
+    own = slice(low, low + len(its_uses))
+    places = vertices[own][:, across].astype(np.float64)
+    corners = _polygon(places, triangles - low, its_uses > 0)
+    if not len(corners):
+        return corners
+    shared = (its_uses > 0) & (its_uses < uses[own])
+    shared[corners] = False
+    near = LINE * float(np.ptp(places[corners], axis=0).max())
+    beside = np.abs(vertices[:, axis] - vertices[triangles[0, 0], axis]) < near
+    beside[own] &= its_uses == 0
+    others = vertices[beside][:, across].astype(np.float64)
+    depths = _depths(others, places[corners])
+    joined = ((depths < near) & (depths > -near).all(axis=0)).sum(axis=1)
+    if shared.any() or (joined > CROSSING).any():
+        return corners[:0]
+    turned = _areas(places, triangles[:1] - low)[0] < 0
+    return low + (corners[::-1] if turned else corners)
+
+
+def _polygon(places: Float, triangles: Triangles, used: Bools) -> Index:
+    """The corners (K,), counter-clockwise, of the convex polygon that ``triangles`` cover once,
+    whose vertices are the ``used`` (V,) of ``places`` (V, 2); none where they do not.
+
+    Where all edges off its sides are run through as often one way as the other, every place inside
+    is covered equally often, and the areas tell how often.
+    """
+    none = np.empty(0, np.int64)
+    angles = 0.1 + np.arange(TURNS) * (2 * pi / TURNS)  # along no side of an upright grid
+    its = np.flatnonzero(used)
+    towards = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    farthest = its[(towards @ places[its].T).argmax(axis=1)]
+    corners: Index = farthest[farthest != np.roll(farthest, 1)]
+    if len(corners) < 3:
+        return none
+    areas, whole = _areas(places, triangles), _areas(places, _fan(corners)).sum()
+    faces_one_way = (areas > 0).all() or (areas < 0).all()
+    if not faces_one_way or abs(abs(areas.sum()) - whole) > AREA * whole:
+        return none
+    inside = np.ones(triangles.shape, bool)
+    near = LINE * float(np.ptp(places[corners], axis=0).max())
+    for depth in _depths(places, places[corners]):
+        on_side = (depth < near)[triangles]
+        inside &= ~(on_side & np.roll(on_side, -1, axis=1))
+    return corners if _closed(triangles, inside) else none
+
+
+def _areas(places: Float, triangles: npt.NDArray[np.integer]) -> Float:
+    """Twice the signed areas (F,)."""
+    a, b, c = (places[triangles[:, k]].T for k in range(3))
+    return np.asarray((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def _depths(places: Float, corners: Float) -> Float:
+    """How far ``places`` (V, 2) lie inside of each side (K, V) of the polygon of ``corners``
+    (K, 2)."""
+    along = np.roll(corners, -1, axis=0) - corners
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.stack(
+        [
+            (places[:, 1] - y) * across - (places[:, 0] - x) * up
+            for (x, y), (across, up) in zip(corners, along, strict=True)
+        ]
+    )
+
+
+def _closed(triangles: Triangles, chosen: Bools) -> bool:
+    """Whether the ``chosen`` edges (F, 3) are each run through as often one way as the other: sums
+    of random numbers are the same."""
+    start, end = triangles[chosen], np.roll(triangles, -1, axis=1)[chosen]
+    numbers = mixed((np.minimum(start, end), np.maximum(start, end)))
+    return bool(numbers[start < end].sum() == numbers[start > end].sum())
+
+
+def _fan(corners: Index) -> Index:
+    """Triangles (K - 2, 3) of a convex polygon."""
+    first = np.full(len(corners) - 2, corners[0])
+    return np.asarray(np.stack([first, corners[1:-1], corners[2:]], axis=1), np.int64)
