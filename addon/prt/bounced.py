@@ -186,10 +186,10 @@ class Bounces:
             )
             yield from meter.follow("bounces", steps, 0, 1)
             fresh = [met for met in self._unbaked.gathered[before:] if met is not None]
-            before = len(self._unbaked.gathered)
             if not fresh:
                 break
-            _mark(used, fresh, np.zeros(0, bool))
+            _mark(used, fresh, np.concatenate(self._unbaked.unseen[before:]))
+            before = len(self._unbaked.gathered)
         self._tape.save({})
         self._used = np.flatnonzero(used)
         counts = self._unbaked.counts

@@ -85,6 +85,11 @@ class Tape:
         self._arrays[name] = np.packbits(answer)
         return answer, len(origins)
 
+    @property
+    def keeps(self) -> bool:
+        """Whether it has a key, and room."""
+        return bool(self._key)
+
     def recall(self, names: Sequence[str]) -> list[npt.NDArray[Any]]:
         """The next arrays that were kept under ``names``; only where the tape is known."""
         place = self._next()

@@ -52,7 +52,8 @@ class Entries:
         at_corners = _points_at_corners(job, points)
         baked = (at_corners >= 0).all(axis=1)
         side = _cell_side(job)
-        levels = np.where(baked, 0, _rows_of_cells(job, side)).astype(np.int32)
+        levels = np.zeros(len(triangles), np.int32)
+        levels[~baked] = _rows_of_cells(job, triangles[~baked], side)
         sizes = np.where(baked, 3, levels.astype(np.int64) ** 2)
         first = np.concatenate([[0], np.cumsum(sizes)])
         count = int(first[-1])
@@ -138,10 +139,10 @@ def _cell(level: Entry, u: Array, v: Array) -> Entry:
     return np.asarray(row * (2 * level - row) + 2 * column + upper, np.int32)
 
 
-def _rows_of_cells(job: Job, side: float) -> Index:
-    """How many rows of cells, ``side`` wide at most, each occluder triangle (F,) has."""
-    vertices = np.asarray(job.occluder_vertices, np.float64)
-    corners = vertices[np.asarray(job.occluder_triangles)]
+def _rows_of_cells(job: Job, triangles: Index, side: float) -> Index:
+    """How many rows of cells, ``side`` wide at most, each of the occluders' ``triangles`` (F, 3)
+    has."""
+    corners = np.asarray(job.occluder_vertices, np.float64)[triangles]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.sqrt(np.linalg.norm(cross, axis=1))  # the side of a square of twice its area
     return np.clip(np.ceil(size / side), 1, MOST_ROWS).astype(np.int64)

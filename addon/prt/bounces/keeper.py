@@ -54,6 +54,11 @@ class Memory(Protocol):
         """Whether there is something to be read."""
         ...
 
+    @property
+    def keeps(self) -> bool:
+        """Whether it has room for anything."""
+        ...
+
     def recall(self, names: Sequence[str]) -> list[npt.NDArray[Any]]:
         """The next arrays."""
         ...
@@ -113,5 +118,6 @@ def keep(
     if recorder is None:
         return keeper.remembered(count, Chunk(*memory.recall(HITS)))
     met = keeper.taken(recorder, count, again)
-    memory.keep(recorder.arrays())
+    if memory.keeps:
+        memory.keep(recorder.arrays())
     return met

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..surface.points import Points, morton_order, surface_bias
-from ..tracing.buried import buried, rays_for
+from ..tracing.buried import buried, is_dark, rays_for
 from ..tracing.rays import Occlusion
 from ..tracing.transfer import Counts
 from .entries import Entries
@@ -23,6 +23,7 @@ from .patches import patches
 Array = npt.NDArray[np.float32]
 Index = npt.NDArray[np.int64]
 Float = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 SHARE, FEWEST = 2, 32  # of a point's rays
 ROUNDS = 6  # what is found only after so many takes part in nothing
@@ -32,13 +33,15 @@ class Unbaked:
     """Nodes of entries that are no points of receivers, numbered from ``first_node`` on.
 
     ``nodes`` (2 count,) are those of every entry, -1 for none; ``values`` and ``gathered`` what was
-    found there and what the rays met, round by round; ``counts``, the rays, and ``looks``, those
-    that told what lies inside of other things, by ``occlusion``.
+    found there and what the rays met, round by round; ``unseen``, places inside of other things,
+    whose light nothing needs; ``counts``, the rays, and ``looks``, those that told what lies
+    inside, by ``occlusion``.
     """
 
     nodes: npt.NDArray[np.int32]
     values: list[Array]
     gathered: list[Gathered | None]
+    unseen: list[Mask]
     counts: Counts
 
     def __init__(
@@ -53,7 +56,8 @@ class Unbaked:
         self._occlusion, self._first_node, self.looks = occlusion, first_node, 0
         nodes = np.full(2 * entries.count, -1, np.int32)
         nodes[: entries.count] = entries.points
-        self.nodes, self.values, self.gathered, self.counts = nodes, [], [], Counter()
+        self.nodes, self.values, self.gathered, self.unseen = nodes, [], [], []
+        self.counts = Counter()
 
     @property
     def places(self) -> int:
@@ -68,7 +72,7 @@ class Unbaked:
             return
         its, side = self._points(new), self._entries.side
         found = patches(its.origins.astype(np.float64), its.normals.astype(np.float64), side)
-        points = self._seen_points(new[found.middle], new[found.rim])
+        points, inside = self._seen_points(new[found.middle], new[found.rim])
         order = morton_order(points.origins)
         places = Points(points.origins[order], points.normals[order], points.element_points)
         few = max(FEWEST, rays // SHARE)
@@ -78,12 +82,13 @@ class Unbaked:
         self.nodes[new] = numbers[found.of_cells]
         self.values.append(values)
         self.gathered.append(gathered)
+        self.unseen.append(inside[order] & is_dark(values))
         self.counts += counts
 
-    def _seen_points(self, entries: Index, others: Index) -> Points:
+    def _seen_points(self, entries: Index, others: Index) -> tuple[Points, Mask]:
         """As ``_points`` of ``entries`` (G,), where these lie inside of something from another
         place in the patch that does not, in the entries ``others`` (G,) or nearer to a corner of
-        the cell: beside a thin wall it would be dark."""
+        the cell: beside a thin wall it would be dark.  And which (G,) have no such place."""
         found = self._points(entries)
         hidden = np.flatnonzero(self._are_inside(found))
         for its_entries, towards in ((others, None), *((entries, k) for k in range(3))):
@@ -94,9 +99,9 @@ class Unbaked:
             seen = hidden[~inside]
             found.origins[seen], found.normals[seen] = its.origins[~inside], its.normals[~inside]
             hidden = hidden[inside]
-        return found
+        return found, np.bincount(hidden, minlength=len(entries)) > 0
 
-    def _are_inside(self, places: Points) -> npt.NDArray[np.bool_]:
+    def _are_inside(self, places: Points) -> Mask:
         """Which of ``places`` lie inside of other things."""
         dark = np.zeros((len(places.origins), 1), np.float32)
         self.looks += rays_for(dark)

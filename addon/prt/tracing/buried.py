@@ -34,7 +34,7 @@ def buried(
     """Which points (P, 3) with ``transfer`` (P, ...) see no sky but through a crack, and mostly the
     backs of triangles."""
     found = np.zeros(len(origins), bool)
-    dark = np.flatnonzero(_dark(transfer))
+    dark = np.flatnonzero(is_dark(transfer))
     in_world = RaysInWorld(cosine_fibonacci(RAYS).astype(np.float32))
     for start in range(0, len(dark), CHUNK):
         some = dark[start : start + CHUNK]
@@ -50,10 +50,10 @@ def buried(
 
 def rays_for(transfer: npt.NDArray[Any]) -> int:
     """The rays that ``buried`` casts for points with ``transfer`` (P, ...)."""
-    return RAYS * int(_dark(transfer).sum())
+    return RAYS * int(is_dark(transfer).sum())
 
 
-def _dark(transfer: npt.NDArray[Any]) -> Mask:
+def is_dark(transfer: npt.NDArray[Any]) -> Mask:
     """Where the mean of the sky that is seen, the first coefficient, is next to nothing."""
     rows = transfer.reshape(len(transfer), -1)
     return np.asarray(rows[:, :1].sum(axis=1) <= CRACK * OPEN)

@@ -201,11 +201,11 @@ class Fit:
         self._system.set(data, jumps)
         return self._system.solve(right, guess)
 
-    def again(self, values: Array) -> Array:
-        """As ``solve`` did last, for other ``values`` (S, K) of the same samples: less light, which
-        may be fitted less closely."""
+    def again(self, values: Array, tolerance: float) -> Array:
+        """As ``solve`` did last, for other ``values`` (S, K) of the same samples, to within this
+        ``tolerance``."""
         right = self._spread.sums(values)
-        return self._system.solve(right, self._spread.averages(right), ROUGHLY)
+        return self._system.solve(right, self._spread.averages(right), tolerance)
 
     def averages(self, values: Array) -> Array:
         """Averages (P, K) about each point of other ``values`` (S, K) of the samples that were

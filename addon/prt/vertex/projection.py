@@ -8,13 +8,17 @@ each point: they are not smooth enough to be shown, but add up to the same light
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ..surface.points import Index
 from .parts import Parts
 from .traced import Array, Mask, Traced, part_of
-from .values import Values
+from .values import Values, squares
+
+CLOSELY = 2e-3  # of all light: the norm of what a fit of light that bounced may miss
+CLOSELY_ENOUGH = 1e-2  # of the light that bounced
 
 
 @dataclass(frozen=True)
@@ -36,8 +40,13 @@ class Projection:
         return self._shown(found, self.first.fit.averages if self.first.fit else None)
 
     def final(self, found: Array) -> Array:
-        """What points (P, K) show of what was ``found`` (M, K)."""
-        return self._shown(found, self.first.fit.again if self.first.fit else None)
+        """What points (P, K) show of what was ``found`` (M, K), the transfer first."""
+        fit = self.first.fit
+        if fit is None:
+            return self._shown(found, None)
+        direct, added = (squares(v[:, :1]).mean() ** 0.5 for v in (self.traced.values, found))
+        tolerance = min(CLOSELY * (direct + added) / max(added, 1e-30), CLOSELY_ENOUGH)
+        return self._shown(found, partial(fit.again, tolerance=tolerance))
 
     def _shown(self, found: Array, of_samples: Callable[[Array], Array] | None) -> Array:
         at, mesh = self.traced.point >= 0, self.parts.mesh
