@@ -93,9 +93,9 @@ that show a mesh, in EEVEE against Cycles with as many diffuse bounces, without 
 
 BOUNCE_COST = """Whole bakes of about 100,000 points at vertices with three bounces beside the same
 without, taking turns in the engine's own process: order 3, 256 rays, grey of albedo 0.7 or with
-triangles of two colours. *Closed* is a well of five walls, of whose rays four fifths meet another
-one, *open* the torus knot over a floor and before a wall. Without fit and residual less is done
-besides, so bounces weigh more.
+triangles of two colours. *Closed* is a well of five walls, *half open* the torus knot over a floor
+and before a wall, which are not baked, *open* a sheet with hills. Without fit and residual less is
+done besides, so bounces weigh more.
 """
 
 SCALE = """A displaced sheet under a thousand rocks, ten million triangles together.

@@ -182,3 +182,27 @@ def test_same_bits_for_any_batch_size(monkeypatch, count):
         results.append(traced(where, vertices, triangles, count, horizon=found)[0])
     np.testing.assert_array_equal(results[0], results[1])
     np.testing.assert_array_equal(results[0], results[2])
+
+
+def test_only_what_is_flat_is_looked_at_in_a_mesh_of_both():
+    """A ball on a floor, in one mesh: a look from the ball would be dear and tell little."""
+    ball, faces, _ = shapes.sphere(16, 32)
+    floor = shapes.grid([-5, -5, -1.5], [10, 0, 0], [0, 10, 0], 40)
+    vertices, triangles = shapes.join(floor, (ball, faces))
+    where, found = horizon_of(shapes.receiver(vertices, triangles), vertices, triangles)
+    in_floor = where.origins[:, 2] < -1.4
+    of_ball = np.flatnonzero(~in_floor)[:64].reshape(4, 16)
+    of_floor = np.flatnonzero(in_floor)[:64].reshape(4, 16)
+    assert (found.open_shares(where.origins[of_ball], where.normals[of_ball]) == 0).all()
+    assert (found.open_shares(where.origins[of_floor], where.normals[of_floor]) > 0.5).any()
+
+
+def test_corners_in_the_open_are_known_side_by_side():
+    vertices, triangles = shapes.box(2.0, 1, inward=False)
+    corners = points.distinct_points(shapes.receiver(vertices, triangles))
+    other = shapes.grid([9, -1, -1], [0, 2, 0], [0, 0, 2], 1)
+    found = horizon.Horizon(clusters.Clusters.of(np.float32(other[0]), other[1], [0]))
+    order = np.argsort(corners.origins @ np.float32([1, 2, 4]))[:12].reshape(1, 12)
+    shares = found.open_shares(corners.origins[order], corners.normals[order], 4)
+    alone = found.open_shares(corners.origins[order[0], None], corners.normals[order[0], None])
+    np.testing.assert_allclose(shares[0].min(axis=1), alone.min(axis=2).reshape(4, 3).min(axis=1))

@@ -28,10 +28,11 @@ MIXED = 0.3  # radians between the normals of a block: its points are then looke
 
 
 class Horizon:
-    """How high the occluders rise above the tangent planes of blocks of points."""
+    """How high the occluders, in ``clusters``, rise above the tangent planes of blocks of points:
+    those whose frames are one, and, where it ``looks_at_curved`` ones, all."""
 
-    def __init__(self, clusters: Clusters) -> None:
-        self._clusters = clusters
+    def __init__(self, clusters: Clusters, looks_at_curved: bool = True) -> None:
+        self._clusters, self._looks_at_curved = clusters, looks_at_curved
 
     def open_shares(self, origins: npt.ArrayLike, normals: npt.ArrayLike, parts: int = 1) -> Float:
         """For blocks of points (B, K, 3) with unit normals, in so many ``parts`` of neighbours
@@ -55,12 +56,15 @@ class Horizon:
             each = places[mine].reshape(-1, places.shape[1] // parts, 3)
             angles = self._sector_angles(each, frame[row], float(tilt[mine].max()))
             shares[mine] = _open(angles).reshape(-1, parts, SECTORS)
-        others = which < 0
+        shares[which < 0] = 0
+        others = (which < 0) & (self._looks_at_curved | ~np.isnan(frame[:, 0, 0]))
+        mixed = others & (tilt > MIXED)
+        others &= ~mixed
         elevation = self._elevation(places[others], axis[others], tilt[others])
         shares[others] = _open(elevation)[:, None, None]
-        for block in np.flatnonzero(others & (tilt > MIXED)) if places.shape[1] > 1 else ():
-            alone = self.open_shares(places[block, :, None], its_normals[block, :, None])
-            shares[block] = alone.min()
+        each, its_own = (v[mixed].reshape(-1, 3) for v in (places, its_normals))
+        elevation = self._elevation(each[:, None], its_own, np.zeros(len(each)))
+        shares[mixed] = _open(elevation).reshape(-1, parts, 1, places.shape[1] // parts).min(3)
         return shares
 
     def _sector_angles(self, places: Float, frame: Float, tilt: float) -> Float:

@@ -59,7 +59,7 @@ class Surroundings:
         clusters = self._clusters
         if convex:
             clusters = clusters.without(self._parts_like(receiver))
-        found = Horizon(clusters)
+        found = Horizon(clusters, looks_at_curved=convex)
         groups = rows[::LOOKED_AT, : min(GROUP, rows.shape[1])]
         saved = found.open_shares(points.origins[groups], points.normals[groups]).mean()
         return found if saved > WORTH and self._pays(places, saved * rays) else None
