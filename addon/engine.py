@@ -25,9 +25,10 @@ from .prt.results import Results, read_results
 from .prt.steps import value_of
 
 # Our folders come last in the child's path: a sibling named like a part of the standard library
-# would kill it.
+# would kill it.  Modules are garbage to nobody: until all are there, to look for some would take a
+# fifth of the time.
 BOOT = (
-    "import runpy, sys; sys.path.extend(sys.argv[2:]); del sys.argv[2:]; "
+    "import gc, runpy, sys; gc.disable(); sys.path.extend(sys.argv[2:]); del sys.argv[2:]; "
     "runpy.run_module('prt', run_name='__main__', alter_sys=True)"
 )
 NATIVE_PACKAGES = ("embreex", "OpenEXR")

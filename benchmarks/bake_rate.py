@@ -1,94 +1,145 @@
 """The rate of whole bakes beside a bare embreex loop over the same rays.
 
-Both use the same threads, robust flag and order of rays, and take turns in one run.  The bake is
-the engine's whole run in its own process: start, job and results on disk, points, acceleration
-structure, rays, error estimate.  Its rate counts the rays that it cast and none that it could skip;
-values are fitted to nothing and no residual is found, so that both cast the same rays.
+A bake in this process, on one thread, writes down where each ray starts and goes that the engine
+asks embreex for, those of its pilots and of its estimate too.  The bare loop hands just these to
+embreex, in that order and in batches as large as the engine's, to the same structure and on as many
+threads as the bake has.  The bake is the engine's whole run in its own process: start, job and
+results on disk, points, acceleration structure, rays, error estimate.  Values are fitted to nothing
+and no residual is found, whose rays are no part of it.  All take turns.
+
+Where the engine knows of rays that they reach the sky, there are two bare loops: one over all rays
+of the bake, as a bake without that knowledge would cast them, and one over those that are cast.
 """
 
 import argparse
 import statistics
-import sys
+import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import peer_ours
+import scenes
 from prt_baker.addon import engine
+from prt_baker.addon.prt import baking
 from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt.cache import Cache
+from prt_baker.addon.prt.light.world import World
+from prt_baker.addon.prt.meter import Meter
 from prt_baker.addon.prt.parallel import available_cores
-from prt_baker.addon.prt.results import read_results
-from prt_baker.addon.prt.surface.points import distinct_points
-from prt_baker.addon.prt.tracing.hemisphere import RaysInWorld, frames, hemisphere_set
-from prt_baker.addon.prt.tracing.rays import Occlusion, occlusion
-from prt_baker.addon.prt.tracing.transfer import BATCH_RAYS
+from prt_baker.addon.prt.tracing.rays import Geometry, Mask, Met, Vectors
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "engine"))
-import shapes
-
-Rays = tuple[np.ndarray, np.ndarray]
-
-
-def knot_job(rows: int, columns: int, rays: int) -> jobs.Job:
-    """The torus knot over floor and wall, with ``rows * columns`` points."""
-    receiver, vertices, triangles = shapes.knot_scene(rows, columns)
-    settings = jobs.Settings(rays=rays, fit=False, residual=False)
-    return jobs.Job("bake", settings, jobs.LightSource(), (receiver,), vertices, triangles)
+SCENES = {
+    "torus knot": lambda: scenes.knot(2200, 48),
+    "cortex": scenes.cortex,
+    "open field": scenes.SMALL["field"],
+}
+HEADER = """| scene | rays a point | rays | bare embreex loop | whole bake | ratio \
+| cast of them | ratio, of what is cast alone |
+|---|---|---|---|---|---|---|---|"""
 
 
-def same_rays(job: jobs.Job) -> Rays:
-    """Every ray of the bake, origins and directions, in its order."""
-    points = distinct_points(job.receivers[0])
-    count, rays = len(points.origins), job.settings.rays
-    random = np.random.default_rng([job.settings.seed, rays])
-    local = frames(points.normals, random.random(count) * 2 * np.pi)
-    directions = np.empty((count * rays, 3), np.float32)
-    in_world = RaysInWorld(hemisphere_set(rays, job.settings.order).directions)
-    in_world.directions(local.matrices(), directions)
-    return np.repeat(points.origins, rays, axis=0), directions
+class Recording:
+    """A geometry that writes down the rays that it is asked for the sky, in ``batches`` of origins
+    and directions."""
+
+    def __init__(self, geometry: Geometry) -> None:
+        self.geometry, self.batches = geometry, list[tuple[Vectors, Vectors]]()
+        self.lets_slip = geometry.lets_slip
+
+    @property
+    def rays(self) -> int:
+        """How many."""
+        return sum(len(origins) for origins, _ in self.batches)
+
+    def sky_mask(self, origins: Vectors, directions: Vectors) -> Mask:
+        """The geometry's own."""
+        self.batches.append((origins.copy(), directions.copy()))
+        return self.geometry.sky_mask(origins, directions)
+
+    def watertight(self) -> Geometry:
+        """The geometry's own, for the few rays that are cast again."""
+        return self.geometry.watertight()
+
+    def meets_back(self, origins: Vectors, directions: Vectors) -> np.ndarray:
+        """The geometry's own."""
+        return self.geometry.meets_back(origins, directions)
+
+    def first_met(self, origins: Vectors, directions: Vectors) -> Met:
+        """The geometry's own."""
+        return self.geometry.first_met(origins, directions)
 
 
-def bare_loop(sky: Occlusion, rays: Rays, threads: int) -> float:
+def recorded(job: jobs.Job, all_are_cast: bool) -> Recording:
+    """The rays of a bake of ``job``, with the structure that they are cast at; those too that need
+    not be cast, if ``all_are_cast``."""
+    with tempfile.TemporaryDirectory() as folder:
+        one_thread = replace(job, settings=replace(job.settings, threads=1))
+        jobs.write(one_thread, Path(folder))
+        job = jobs.read(Path(folder))
+        cache = Cache("")
+        scene = baking.Scene(job, World(job, cache), cache, Meter())
+        scene.occlusion = Recording(scene.occlusion)
+        if all_are_cast:
+            scene.surroundings.horizon = lambda *_: None
+        for index in range(len(job.receivers)):
+            for _ in baking.bake(scene, index):
+                pass
+        return scene.occlusion
+
+
+def bare_loop(rays: Recording, threads: int) -> float:
     """Seconds that embreex alone takes for ``rays``."""
-    origins, directions = rays
-    parts = [slice(i, i + BATCH_RAYS) for i in range(0, len(origins), BATCH_RAYS)]
     start = time.perf_counter()
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(lambda part: sky.sky_mask(origins[part], directions[part]), parts))
+        list(pool.map(lambda batch: rays.geometry.sky_mask(*batch), rays.batches))
     return time.perf_counter() - start
 
 
-def whole_bake(job: jobs.Job) -> tuple[float, int]:
-    """Seconds from the job's arrays to the results' arrays, and the rays cast."""
+def whole_bake(job: jobs.Job) -> float:
+    """Seconds from the job's arrays to the results' arrays."""
     start = time.perf_counter()
     with engine.job_folder() as folder:
         for _ in engine.run(job, folder):
             pass
-        seconds = time.perf_counter() - start
-        (entry,) = read_results(folder).report["objects"]
-    return seconds, entry["rays"]
+        return time.perf_counter() - start
+
+
+def row(title: str, scene: scenes.Scene, rays: int, turns: int) -> str:
+    """One line of the table: medians of several turns."""
+    job, threads = scene.job(peer_ours.settings(rays=rays)), available_cores()
+    cast, every = recorded(job, all_are_cast=False), recorded(job, all_are_cast=True)
+    skips = cast.rays < 0.99 * every.rays
+    taken = []
+    for _ in range(turns):
+        bare = bare_loop(every, threads)
+        taken.append((bare, whole_bake(job), bare_loop(cast, threads) if skips else bare))
+    bare, whole = (
+        every.rays / statistics.median(column) for column in [*zip(*taken, strict=True)][:2]
+    )
+    ratios = [statistics.median(its[k] / its[1] for its in taken) for k in (0, 2)]
+    return (
+        f"| {title} | {rays:,} | {every.rays / 1e6:.1f} M | {bare / 1e6:.2f} Mrays/s "
+        f"| {whole / 1e6:.2f} Mrays/s | **{ratios[0]:.2f}** | {cast.rays / every.rays:.0%} "
+        f"| {ratios[1]:.2f} |"
+    )
 
 
 def main() -> None:
-    """Print both rates and their ratio, medians of several turns."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--turns", type=int, default=5)
-    parser.add_argument("--rays", type=int, default=256)
+    parser.add_argument("--turns", type=int, default=3)
+    parser.add_argument("--rays", type=int, nargs="*", default=[256, 1024])
+    parser.add_argument("--scene", default="", help="only scenes whose name has this")
     asked = parser.parse_args()
-    job = knot_job(2200, 48, asked.rays)
-    rays = same_rays(job)
-    sky = occlusion(job.occluder_vertices, job.occluder_triangles, len(rays[0]))
-    threads = available_cores()
-    count = len(rays[0]) / 1e6
-    turns = []
-    for _ in range(asked.turns):
-        bare, (whole, cast) = bare_loop(sky, rays, threads), whole_bake(job)
-        turns.append((count / bare, cast / 1e6 / whole))
-    bare, whole = (statistics.median(column) for column in zip(*turns, strict=True))
-    ratio = statistics.median(w / b for b, w in turns)
-    print(f"{count:.1f} M rays, {len(job.occluder_triangles):,} triangles, {threads} threads")
-    print(f"bare embreex loop {bare:.2f} Mrays/s, whole bake {whole:.2f} Mrays/s")
-    print(f"ratio {ratio:.2f} (median of {asked.turns} turns)")
+    print(HEADER)
+    for title, build in SCENES.items():
+        if asked.scene in title:
+            scene = build()
+            for rays in asked.rays:
+                print(row(title, scene, rays, asked.turns), flush=True)
 
 
 if __name__ == "__main__":

@@ -102,7 +102,11 @@ SCALE = """A displaced sheet under a thousand rocks, ten million triangles toget
 """
 
 RATE = """A whole bake, from arrays to arrays in the engine's own process, beside a bare embreex
-loop over the same rays, taking turns.
+loop over the same rays, in the same order, with the same flags and threads, taking turns. What a
+bake takes besides its rays is most of a second, for the start of its process, the points and the
+acceleration structure: a small mesh (*cortex*) is traced in less. On the open field many rays are
+known to reach the sky: the first ratio is to a bare loop over all of them, the last to one over
+those that are cast.
 """
 
 

@@ -128,9 +128,9 @@ def monkey() -> Mesh:
     return vertices, triangles
 
 
-def knot() -> Scene:
-    """The torus knot over a floor and before a wall."""
-    receiver, vertices, triangles = shapes.knot_scene()
+def knot(rows: int = 600, columns: int = 24) -> Scene:
+    """The torus knot of ``rows * columns`` points over a floor and before a wall."""
+    receiver, vertices, triangles = shapes.knot_scene(rows, columns)
     count = len(receiver.vertices)
     outside = triangles[(triangles >= count).all(axis=1)] - count
     others = (vertices[count:], outside)

@@ -5,6 +5,7 @@ Writes ``progress.jsonl`` and, when all is done, ``results``.  Exit codes: 0 don
 1 a fault of ours; both leave their text as the last line of the progress file, if there is room.
 """
 
+import gc
 import json
 import os
 import sys
@@ -26,6 +27,8 @@ INTERVAL = 0.05  # seconds between two lines
 
 def main(folder: Path) -> int:
     """Do the job in ``folder``; the exit code."""
+    gc.freeze()  # the modules
+    gc.enable()
     try:
         with (folder / PROGRESS).open("a", encoding="utf-8") as progress:
             return _guarded(folder, progress)

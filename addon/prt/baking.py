@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from .bounces.keeper import Keeper, keep, retrace, shown_of
-from .bounces.sources import channels_of
 from .cache import Cache, Keys
 from .cache import Entry as Kept
 from .errors import BakeError
@@ -29,7 +27,8 @@ from .vertex.solver import Solved, pilot_error, solve
 from .vertex.traced import Found
 
 if TYPE_CHECKING:
-    from .bounces.hits import Gathered
+    from .bounces.hits import Gathered  # and all else of it where light bounces
+    from .bounces.keeper import Keeper
     from .tracing.looking import Look
 
 Array = npt.NDArray[np.float32]
@@ -78,7 +77,11 @@ class Scene:
     @cached_property
     def channels(self) -> int:
         """Of the transfer: three where colours bounce."""
-        return channels_of(np.asarray(self.job.occluder_albedo)) if self.job.bounces else 1
+        if not self.job.bounces:
+            return 1
+        from .bounces.sources import channels_of
+
+        return channels_of(np.asarray(self.job.occluder_albedo))
 
     def only(self, indices: Sequence[int]) -> "Scene":
         """The same for some of the receivers; the others are mere occluders."""
@@ -172,7 +175,7 @@ class Bake(ABC, Generic[What]):
         index: int,
         points: Points,
         tape: Tape | PlaceTape,
-        keeper: Keeper | None = None,
+        keeper: "Keeper | None" = None,
         *,
         expected: int | None = None,
     ) -> None:
@@ -242,7 +245,8 @@ class Bake(ABC, Generic[What]):
         bits, known = self._tape.visibility(origins, normals, rays)
         places = Points(origins, normals, np.empty(0, np.int32))
         recorder = self._keeper.recorder() if self._keeper and not self._tape.known else None
-        shortcuts = replace(self._shortcuts, shown=shown_of(rays) if self._keeper else 1)
+        shown = self._keeper.shown_of(rays) if self._keeper else 1
+        shortcuts = replace(self._shortcuts, shown=shown)
         self._counts += yield from trace_all(
             places,
             self._occlusion,
@@ -255,8 +259,8 @@ class Bake(ABC, Generic[What]):
         )
         if self._keeper is not None and isinstance(self._tape, Tape):
             settings = replace(self._settings, rays=rays)
-            again = retrace(places, self._occlusion, settings, shortcuts)
-            self.met.append(keep(self._keeper, self._tape, recorder, len(origins), again))
+            again = self._keeper.retrace(places, self._occlusion, settings, shortcuts)
+            self.met.append(self._keeper.keep(self._tape, recorder, len(origins), again))
         if world is not None:
             world.leave_residuals(values, coefficients)
         return values

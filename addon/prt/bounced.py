@@ -28,7 +28,7 @@ from .baking import Baked, Far, Scene, Work, prepared, unchanged
 from .bands import exit_radiance
 from .bounces.entries import Entries
 from .bounces.hits import Gathered, Leaving
-from .bounces.keeper import Keeper, keep, retrace
+from .bounces.keeper import Keeper
 from .bounces.sources import Sources
 from .bounces.unbaked import ROUNDS, Unbaked
 from .digests import add_array
@@ -168,7 +168,7 @@ class Bounces:
         used = np.zeros(2 * self._entries.count, bool)
         for index in indices:
             places = pilot_points(scene.job.receivers[index], seed=settings.seed)
-            again = retrace(places, scene.occlusion, settings, Shortcuts())
+            again = self._keeper.retrace(places, scene.occlusion, settings, Shortcuts())
             recorder = self._keeper.recorder()
             yield from scene.meter.follow("bounces", again(recorder), 0, 1)
             count = len(places.origins)
@@ -217,8 +217,8 @@ class Bounces:
         )
         if not look:
             return values, None, counts
-        again = retrace(places, occlusion, settings, Shortcuts())
-        return values, keep(self._keeper, self._tape, recorder, len(values), again), counts
+        again = self._keeper.retrace(places, occlusion, settings, Shortcuts())
+        return values, self._keeper.keep(self._tape, recorder, len(values), again), counts
 
     def follow(self) -> Generator[Progress, None, tuple[Sources, Array]]:
         """Follow the light from bounce to bounce, and add up what arrives at the places that were

@@ -89,6 +89,11 @@ class Settings:
     verify_points: int = 0
     verify_rays: int = 16384
 
+    @property
+    def verify_work(self) -> float:
+        """What measuring one receiver is, in points."""
+        return 2 * self.verify_points * self.verify_rays / self.rays
+
 
 @dataclass(frozen=True)
 class LightSource:

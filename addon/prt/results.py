@@ -15,15 +15,14 @@ which exists only when all of it is there:
 import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .files.atlases import write_tiles
-from .files.images import write_rgba
-from .files.layers import write_layers, write_png16
 from .job import Array, EngineImages, Peak
-from .specular.sheet import Sheet
+
+if TYPE_CHECKING:
+    from .specular.sheet import Sheet
 
 RESULTS = "results"
 RESULT_ARRAYS = (
@@ -131,7 +130,7 @@ class Reflections:
     as ``sheet`` says, until it is written, and its ``path`` from then on.  It lacks ``peaks``,
     which are in the picture's own frame and for a strength of 1."""
 
-    sheet: Sheet
+    sheet: "Sheet"
     peaks: tuple[Peak, ...] = ()
     image: Array | None = None
     path: Path | None = None
@@ -198,6 +197,9 @@ def read_results(folder: Path) -> Results:
 
 
 def _write_atlas(atlas: Atlas, folder: Path, stem: str, stamp: dict[str, str]) -> None:
+    from .files.atlases import write_tiles
+    from .files.layers import write_layers, write_png16
+
     assert atlas.image is not None
     path = folder / f"{stem}.exr"
     write_tiles(path, atlas.image, atlas.names, half=atlas.half, metadata=stamp)
@@ -228,6 +230,8 @@ def _read_atlas(path: Path, header: dict[str, Any]) -> Atlas:
 def _write_reflections(found: Reflections | None, folder: Path) -> dict[str, Any] | None:
     if found is None:
         return None
+    from .files.images import write_rgba
+
     assert found.image is not None
     write_rgba(str(folder / REFLECTIONS), found.image[::-1], half=True)
     return {"sheet": asdict(found.sheet), "peaks": [asdict(peak) for peak in found.peaks]}
@@ -236,6 +240,8 @@ def _write_reflections(found: Reflections | None, folder: Path) -> dict[str, Any
 def _read_reflections(values: dict[str, Any] | None, folder: Path) -> Reflections | None:
     if values is None:
         return None
+    from .specular.sheet import Sheet
+
     return Reflections(
         Sheet.of(values["sheet"]),
         tuple(map(Peak.of, values["peaks"])),

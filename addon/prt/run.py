@@ -1,31 +1,30 @@
-"""A run of the engine, from a job to its results, as a generator of progress."""
+"""A run of the engine, from a job to its results, as a generator of progress.
+
+What not every job needs is imported where it is needed: that of all would take as long as some
+million rays.
+"""
 
 import platform
 import sys
 from collections.abc import Generator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import VERSION, bands, choosing
+from . import VERSION
 from .baking import Baked, Scene, bake
-from .bounces.walks import Walls
 from .cache import Cache
-from .files import images
-from .job import Job, Progress, Receiver, content_hash
+from .job import Job, Progress, content_hash
 from .light.world import World
 from .meter import Meter
-from .reflecting import reflections
+from .parallel import workers
 from .results import Atlas, ReceiverResult, Results
-from .surface.points import Points, distinct_points
-from .surface.samples import Places
-from .tracing import rays
-from .verify import Shown, measure, shown_at
-from .vertex.traced import Traced
 
 if TYPE_CHECKING:
-    from .texturing import Sheet  # and all else of it where there are textures
+    from .texturing import Sheet
 
 Entry = dict[str, Any]
 
@@ -33,7 +32,10 @@ Entry = dict[str, Any]
 def run(job: Job) -> Generator[Progress, None, Results]:
     """Do ``job``; its results are the generator's value.  ``close()`` cancels it."""
     meter = Meter(work=_work(job))
-    report: dict[str, Any] = {"job_hash": content_hash(job), "objects": []}
+    pool = workers(1)
+    job_hash = pool.submit(content_hash, job)
+    pool.shutdown(wait=False)
+    report: dict[str, Any] = {"objects": []}
     yield meter.progress("light")
     cache = Cache(job.settings.cache)
     world = World(job, cache)
@@ -43,20 +45,24 @@ def run(job: Job) -> Generator[Progress, None, Results]:
     receivers: Sequence[ReceiverResult] = ()
     atlases: list[Atlas] = []
     if job.kind == "bake":
-        scene.job, choices = yield from choosing.decided(scene)
-        meter.work = _work(scene.job)
+        predicted = yield from _decide(scene)
         receivers, sheets = yield from _bake(scene, report["objects"])
-        for index, choice in choices.items():
-            report["objects"][index]["predicted"] = choosing.report(choice)
+        for index, its in predicted.items():
+            report["objects"][index]["predicted"] = its
         receivers = _with_needed_bands(scene, receivers, report["objects"])
         atlases = yield from _painted(scene, sheets, receivers)
     elif job.kind == "verify":
-        yield from _verify(scene, report["objects"])
-    is_shown = job.kind != "verify"
-    reflected = (yield from reflections(job, world, cache, meter)) if is_shown else None
+        from .measuring import verify
+
+        yield from verify(scene, report["objects"])
+    reflected = None
+    if job.settings.reflections and job.kind != "verify":
+        from .reflecting import reflections
+
+        reflected = yield from reflections(job, world, cache, meter)
     if job.light is not None:
         report["light"] = world.report
-    report.update(_run_report(job, meter))
+    report.update(_run_report(job, meter), job_hash=job_hash.result())
     return Results(image_sh, tuple(receivers), report, world.peaks, tuple(atlases), reflected)
 
 
@@ -70,7 +76,7 @@ def _work(job: Job) -> float:
             from . import texturing
 
             points += texturing.work_of(job, in_textures)
-    return max(1.0, points + len(job.receivers) * _verify_work(job))
+    return max(1.0, points + len(job.receivers) * job.settings.verify_work)
 
 
 def _in(job: Job, carrier: str) -> list[int]:
@@ -78,10 +84,16 @@ def _in(job: Job, carrier: str) -> list[int]:
     return [i for i, receiver in enumerate(job.receivers) if receiver.carrier == carrier]
 
 
-def _verify_work(job: Job) -> float:
-    """What measuring one receiver is, in points."""
-    settings = job.settings
-    return 2 * settings.verify_points * settings.verify_rays / settings.rays
+def _decide(scene: Scene) -> Generator[Progress, None, dict[int, Entry]]:
+    """Give the receivers of the scene's job that have no carrier one; what was predicted of each
+    of these."""
+    if not _in(scene.job, "auto"):
+        return {}
+    from . import choosing
+
+    scene.job, choices = yield from choosing.decided(scene)
+    scene.meter.work = _work(scene.job)
+    return {index: choosing.report(choice) for index, choice in choices.items()}
 
 
 def _bake(
@@ -102,7 +114,9 @@ def _bake(
             bakes[index] = yield from bake(scene, index)
         scene.meter.work += len(bakes[index].points.origins) - len(receiver.normals)
         if scene.job.settings.verify_points:
-            yield from _measure_bake(scene, receiver, bakes[index])
+            from .measuring import measure_bake
+
+            yield from measure_bake(scene, receiver, bakes[index])
     sheets = (yield from _bake_textures(scene, in_textures, bakes)) if in_textures else []
     entries += [bakes[index].entry for index in sorted(bakes)]
     return [bakes[index].result for index in sorted(bakes)], sheets
@@ -125,7 +139,9 @@ def _bake_textures(
             yield scene.meter.progress("prepare")
             bakes[index] = yield from texturing.bake_texels(scene, index, sheet, number, surfaces)
             if scene.job.settings.verify_points:
-                yield from _measure_texels(scene, index, sheet, bakes[index])
+                from .measuring import measure_texels
+
+                yield from measure_texels(scene, index, sheet, bakes[index])
     return sheets
 
 
@@ -147,96 +163,6 @@ def _painted(
     return atlases
 
 
-def _measure_texels(
-    scene: Scene, index: int, sheet: "Sheet", baked: Baked
-) -> Generator[Progress, None, None]:
-    """As ``_measure_bake``, between texels."""
-    from . import texturing
-
-    receiver, settings = scene.job.receivers[index], scene.job.settings
-    count, seed = settings.verify_points, settings.seed
-    shown = texturing.between_texels(receiver, baked.result, sheet.size, count, seed)
-    traced = baked.solved.traced if baked.solved else None
-    baked.entry["measured_error"] = yield from _measure(scene, receiver, None, traced, shown)
-
-
-def _measure_bake(
-    scene: Scene, receiver: Receiver, baked: Baked
-) -> Generator[Progress, None, None]:
-    """Let the report of ``baked`` say what a second look at its points finds."""
-    result = baked.result
-    shown = replace(
-        receiver,
-        transfer=result.at_elements(result.transfer),
-        residual=result.at_elements(result.residual),
-        visibility_sh=result.at_elements(result.visibility_sh),
-    )
-    traced = baked.solved.traced if baked.solved else None
-    baked.entry["measured_error"] = yield from _measure(scene, shown, baked.points, traced)
-
-
-def _verify(scene: Scene, entries: list[Entry]) -> Generator[Progress, None, None]:
-    """Measure every receiver as it is shown."""
-    for receiver in scene.job.receivers:
-        points = distinct_points(receiver) if receiver.places is None else None
-        surface = _at_places(receiver) if receiver.places is not None else None
-        measured = yield from _measure(scene, receiver, points, None, surface)
-        entries.append({"name": receiver.name, "measured_error": measured})
-
-
-def _at_places(receiver: Receiver) -> Shown:
-    """What ``receiver`` is said to show at its ``places``."""
-    assert receiver.places is not None
-    assert receiver.transfer is not None
-    places = Places(receiver.places[:, 0].astype(np.int64), np.asarray(receiver.places[:, 1:]))
-    residual = receiver.residual
-    has_residual = residual is not None and residual.shape[1]
-    return shown_at(
-        receiver,
-        places,
-        receiver.transfer.astype(np.float64),
-        residual[:, 0].astype(np.float64) if residual is not None and has_residual else None,
-        None if receiver.visibility_sh is None else receiver.visibility_sh.astype(np.float64),
-    )
-
-
-def _measure(
-    scene: Scene,
-    receiver: Receiver,
-    points: Points | None,
-    traced: Traced | None,
-    surface: Shown | None = None,
-) -> Generator[Progress, None, Entry]:
-    """The measured errors of what ``receiver`` shows."""
-    settings = scene.job.settings
-    with scene.meter.phase("verify"):
-        walls, occlusion = _walls(scene), scene.occlusion.watertight()
-        light = None if walls else scene.world.reference(occlusion)
-        steps = measure(
-            receiver,
-            points,
-            occlusion,
-            settings,
-            traced=traced,
-            light=light,
-            walls=walls,
-            surface=surface,
-        )
-        expected = 2 * settings.verify_points * settings.verify_rays
-        share = _verify_work(scene.job)
-        measured = yield from scene.meter.follow("verify", steps, share, expected)
-    return asdict(measured)
-
-
-def _walls(scene: Scene) -> Walls | None:
-    """What light bounces off, if it does."""
-    job = scene.job
-    if not job.bounces:
-        return None
-    vertices = np.asarray(job.occluder_vertices, np.float32)
-    return Walls(scene.occlusion, vertices, job.occluder_triangles, job.occluder_albedo)
-
-
 def _with_needed_bands(
     scene: Scene, results: Sequence[ReceiverResult], entries: list[Entry]
 ) -> Sequence[ReceiverResult]:
@@ -244,6 +170,8 @@ def _with_needed_bands(
     settings = scene.job.settings
     if not (settings.tolerance or settings.final_light) or not results:
         return results
+    from . import bands
+
     seen = scene.world.seen_sh if scene.job.light is not None else np.zeros((1, 25, 3))
     final = seen[0] if settings.final_light else None
     order = bands.needed_order(results, settings.tolerance, final)
@@ -267,7 +195,22 @@ def _run_report(job: Job, meter: Meter) -> dict[str, Any]:
 def versions() -> dict[str, str]:
     """What the result was made with."""
     found = {"prt_baker": VERSION, "python": platform.python_version(), "numpy": np.__version__}
-    return found | {"embreex": rays.version(), "OpenEXR": images.version()}
+    return found | {package: wheel_version(package) for package in ("embreex", "OpenEXR")}
+
+
+def wheel_version(package: str) -> str:
+    """What an installed ``package`` says of itself in the folder beside it, without loading it or
+    all that ``importlib.metadata`` loads; "unknown" where it says nothing."""
+    spec = find_spec(package)
+    if spec is None or spec.origin is None:
+        return "unknown"
+    place = Path(spec.origin)
+    home = place.parent.parent if place.stem == "__init__" else place.parent
+    for folder in home.glob("*.dist-info"):
+        name, _, its_version = folder.stem.partition("-")
+        if name.lower() == package.lower():
+            return its_version
+    return "unknown"
 
 
 def peak_memory() -> int | None:

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 import time
+from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import shapes
 from prt_baker.addon import engine
 from prt_baker.addon.prt import job as jobs
 from prt_baker.addon.prt.results import read_results
+from prt_baker.addon.prt.run import wheel_version
 
 
 @pytest.fixture
@@ -46,6 +49,41 @@ def test_a_child_waits_for_a_job_that_takes_long_to_write(job, tmp_path, monkeyp
     for _ in engine.run(job, tmp_path):
         pass
     assert len(read_results(tmp_path).receivers) == 1
+
+
+LOADED = """
+import sys
+from pathlib import Path
+from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt.results import write_results
+from prt_baker.addon.prt.run import run
+steps = run(jobs.read(Path(sys.argv[1])))
+try:
+    while True:
+        next(steps)
+except StopIteration as stop:
+    write_results(stop.value, Path(sys.argv[1]))
+print(*sys.modules, sep="\\n")
+"""
+NEEDLESS = ("atlas", "bounces", "files", "specular", "texture", "texturing", "verify", "choosing")
+
+
+def test_a_plain_bake_loads_nothing_that_others_need(job, tmp_path):
+    jobs.write(replace(job, light=jobs.LightSource()), tmp_path)
+    command = [sys.executable, "-c", LOADED, str(tmp_path)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    ours = "prt_baker.addon.prt."
+    loaded = {name.removeprefix(ours).split(".")[0] for name in done.stdout.split()}
+    assert "embreex" in loaded
+    assert not loaded & {*NEEDLESS, "OpenEXR", "xatlas"}
+    exact = {f"{ours}light.{part}" for part in ("exact", "gather", "peaks", "cubemap")}
+    assert not exact & set(done.stdout.split())
+
+
+@pytest.mark.parametrize("package", ["embreex", "OpenEXR"])
+def test_a_package_is_asked_for_its_version_without_being_loaded(package):
+    assert wheel_version(package) == version(package)
+    assert wheel_version("nothing_of_the_kind") == "unknown"
 
 
 ORPHAN = """

@@ -125,6 +125,18 @@ def test_same_bits_for_any_number_of_threads():
     assert (one == two).all()
 
 
+@pytest.mark.parametrize(("count", "each"), [(1, 16), (5000, 64), (30000, 256)])
+def test_parts_hold_every_point_once_and_are_no_larger_towards_the_end(count, each):
+    where = at(np.zeros((count, 3)), np.tile(UP, (count, 1)))
+    settings = Settings(rays=each)
+    tracer = transfer.Tracer(where, rays.Sky(), settings, transfer.Shortcuts(), None)
+    groups = [part.groups for part in tracer.parts()]
+    sizes = [len(part) for part in groups]
+    assert np.array_equal(np.concatenate(groups), np.arange(-(-count // transfer.GROUP)))
+    assert sizes == sorted(sizes, reverse=True)
+    assert max(sizes) * transfer.GROUP * each <= transfer.PART_RAYS[1]
+
+
 def test_closing_stops_the_rays():
     where = at(np.zeros((100_000, 3)), np.tile(UP, (100_000, 1)))
     out = np.full((100_000, 9), np.nan, np.float32)

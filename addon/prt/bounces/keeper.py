@@ -21,28 +21,6 @@ Retrace = Callable[[Look], Generator[int, None, None]]
 SHOWN, ENOUGH = 2, 32  # of so many rays one is looked at, as long as these are enough of a place
 
 
-def retrace(
-    places: Points, occlusion: Occlusion, settings: Settings, shortcuts: Shortcuts
-) -> Retrace:
-    """What traces ``places`` again, ray by ray as they were, for someone who looks at the rays."""
-    coarse = replace(settings, order=1)
-
-    def trace(look: Look) -> Generator[int, None, None]:
-        scratch = np.empty((len(places.origins), 1), np.float32)
-        anew = Shortcuts(shortcuts.horizon, look=look, shown=shortcuts.shown)
-        yield from trace_all(places, occlusion, coarse, scratch, shortcuts=anew)
-
-    return trace
-
-
-def shown_of(rays: int) -> int:
-    """Of how many rays of a point that has ``rays`` one is looked at: what arrives from other
-    surfaces changes less from direction to direction than what reaches the sky, and to find where
-    a ray ends takes longer than to find that it ends.  One of four would save little more, and the
-    noise of all light together would be a fifth larger instead of a twenty-fifth."""
-    return SHOWN if rays >= SHOWN * ENOUGH else 1
-
-
 HITS = ("numbers", "others", "entries", "local")
 
 
@@ -109,15 +87,38 @@ class Keeper:
         """What was kept of ``count`` places on a tape."""
         return Kept(count, self._threads, split(hits))
 
+    def keep(
+        self, memory: Memory, recorder: Recorder | None, count: int, again: Retrace
+    ) -> Gathered:
+        """What ``recorder`` saw of ``count`` places, or, where ``memory`` is known, what was seen
+        when it was filled."""
+        if recorder is None:
+            return self.remembered(count, Chunk(*memory.recall(HITS)))
+        met = self.taken(recorder, count, again)
+        if memory.keeps:
+            memory.keep(recorder.arrays())
+        return met
 
-def keep(
-    keeper: Keeper, memory: Memory, recorder: Recorder | None, count: int, again: Retrace
-) -> Gathered:
-    """What ``recorder`` saw of ``count`` places, or, where ``memory`` is known, what was seen when
-    it was filled."""
-    if recorder is None:
-        return keeper.remembered(count, Chunk(*memory.recall(HITS)))
-    met = keeper.taken(recorder, count, again)
-    if memory.keeps:
-        memory.keep(recorder.arrays())
-    return met
+    @staticmethod
+    def retrace(
+        places: Points, occlusion: Occlusion, settings: Settings, shortcuts: Shortcuts
+    ) -> Retrace:
+        """What traces ``places`` again, ray by ray as they were, for someone who looks at the
+        rays."""
+        coarse = replace(settings, order=1)
+
+        def trace(look: Look) -> Generator[int, None, None]:
+            scratch = np.empty((len(places.origins), 1), np.float32)
+            anew = Shortcuts(shortcuts.horizon, look=look, shown=shortcuts.shown)
+            yield from trace_all(places, occlusion, coarse, scratch, shortcuts=anew)
+
+        return trace
+
+    @staticmethod
+    def shown_of(rays: int) -> int:
+        """Of how many rays of a point that has ``rays`` one is looked at: what arrives from other
+        surfaces changes less from direction to direction than what reaches the sky, and to find
+        where a ray ends takes longer than to find that it ends.  One of four would save little
+        more, and the noise of all light together would be a fifth larger instead of a
+        twenty-fifth."""
+        return SHOWN if rays >= SHOWN * ENOUGH else 1

@@ -180,10 +180,3 @@ def _rank(layer: str) -> int:
     if not layer:
         return 0
     return 1 if layer.rpartition(".")[2] == "Combined" else 2
-
-
-def version() -> str:
-    """OpenEXR's own."""
-    import OpenEXR
-
-    return str(OpenEXR.__version__)

@@ -13,9 +13,7 @@ import numpy.typing as npt
 
 from .. import sh
 from ..errors import BakeError
-from ..files import images
 from ..job import LIGHT_ORDER, LightSource
-from . import cubemap, lat_long
 
 FACE_NAMES = ("px", "nx", "py", "ny", "pz", "nz")
 PICTURES = (".exr", ".hdr")
@@ -46,6 +44,8 @@ class Projected:
         """The picture as a lat-long map (H, W, 3), top row first."""
         if self.picture is None or not self.is_cubemap:
             return self.picture
+        from . import cubemap
+
         return cubemap.to_lat_long(self.picture)
 
 
@@ -57,6 +57,8 @@ def project(source: LightSource) -> Projected:
     pixels = _pixels(source)
     if pixels is None:
         return Projected(_constant())
+    from . import cubemap, lat_long
+
     if not pixels.size:
         raise BakeError("The world's picture has no pixels")
     repaired, repairs = repair(np.asarray(pixels, np.float32))
@@ -73,6 +75,8 @@ def _pixels(source: LightSource) -> Pixels | None:
     """(H, W, 3) of one picture, (6, N, N, 3) of a folder with six faces; None for a colour."""
     if source.pixels is not None or source.image is None:
         return source.pixels
+    from ..files import images
+
     if source.may_be_cubemap and Path(source.image).is_dir():
         return _six_faces(Path(source.image))
     try:
@@ -84,6 +88,8 @@ def _pixels(source: LightSource) -> Pixels | None:
 
 def _six_faces(folder: Path) -> Pixels:
     """The faces px, nx, py, ny, pz, nz (.exr or .hdr) of ``folder``, as (6, N, N, 3)."""
+    from ..files import images
+
     faces = []
     for name in FACE_NAMES:
         found = [p for p in sorted(folder.iterdir()) if p.stem == name and p.suffix in PICTURES]

@@ -4,7 +4,7 @@ from concurrent.futures import Future
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from math import pi
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,13 +15,13 @@ from ..parallel import workers
 from ..surface.points import Points
 from ..tracing.rays import Occlusion
 from ..tracing.transfer import trace_all
-from ..verify import Light
 from . import projection
-from .exact import ExactLight
-from .gather import LightGather
-from .peaks import CutOut, find
 from .projection import Projected, world_sh
-from .residual import peaks_sh, turned
+
+if TYPE_CHECKING:
+    from ..verify import Light
+    from .gather import LightGather
+    from .peaks import CutOut
 
 Array = npt.NDArray[np.float32]
 Float = npt.NDArray[np.float64]
@@ -39,7 +39,7 @@ class ExactWorld:
     radiance of a white surface that faces a peak.
     """
 
-    gather: LightGather
+    gather: "LightGather"
     radiance_sh: Float
     lights: Float
 
@@ -120,7 +120,9 @@ class World:
         return pixels
 
     @cached_property
-    def _cut_out(self) -> CutOut:
+    def _cut_out(self) -> "CutOut":
+        from .peaks import find
+
         assert self._source is not None
         rotation, strength = self._source.rotation, self._source.strength
         return find(self._pixels, rotation, strength, self._peaks, self._settings.order)
@@ -155,6 +157,8 @@ class World:
     def seen_sh(self) -> Float:
         """Coefficients (turns or 1, 25, 3) that transfer is dotted with: of the world as it stands,
         without its peaks, and in every other turn that there is a residual for."""
+        from .residual import peaks_sh, turned
+
         assert self._source is not None
         assert self.image_sh is not None
         radiance = world_sh(self.image_sh, self._source.strength, self._source.rotation)
@@ -183,6 +187,9 @@ class World:
     def _find_exact(self) -> ExactWorld | None:
         if not self.is_exact or self._source is None:
             return None
+        from .exact import ExactLight
+        from .gather import LightGather
+
         settings, rotation = self._settings, np.asarray(self._source.rotation, np.float64)
         lights: list[ExactLight] = []
         if self.turns:
@@ -199,11 +206,15 @@ class World:
             irradiance / pi,
         )
 
-    def reference(self, occlusion: Occlusion) -> Light | None:
+    def reference(self, occlusion: Occlusion) -> "Light | None":
         """What a bake under this light is measured by: many rays of another seed.  None where
         coefficients hold all of it, or where peaks are stored apart."""
         if not self._has_picture or self._peaks or self._source is None:
             return None
+        from ..verify import Light
+        from .exact import ExactLight
+        from .gather import LightGather
+
         source, settings = self._source, self._settings
         assert self.image_sh is not None
         radiance = world_sh(self.image_sh, source.strength, source.rotation)

@@ -11,6 +11,7 @@ Float = npt.NDArray[np.float64]
 SLACK = 1e-6  # of the size: what float32 leaves of a flat side
 SLACK_OF_AREA = 1e-4
 PLANES = 32  # tangent planes that are tried before the edges are looked at
+SOME = 1024  # vertices that are held against these before all are
 
 
 def is_convex(receiver: Receiver) -> bool:
@@ -24,12 +25,10 @@ def is_convex(receiver: Receiver) -> bool:
         return False
     positions = np.asarray(receiver.vertices, np.float64)
     size = float(np.ptp(positions, axis=0).max())
-    # a point without a sound normal takes its face's
-    normals = np.nan_to_num(np.asarray(receiver.normals, np.float64), posinf=0, neginf=0)
     if not (
-        _holds_below(positions, receiver, normals, size * SLACK)
+        _holds_below(positions, receiver, size * SLACK)
         and _faces_all_ways(positions[receiver.triangles])
-        and _keeps_to_its_faces(positions, receiver, normals, size * SLACK)
+        and _keeps_to_its_faces(positions, receiver, size * SLACK)
     ):
         return False
     places, vertex = np.unique(receiver.vertices, axis=0, return_inverse=True)
@@ -43,13 +42,22 @@ def is_convex(receiver: Receiver) -> bool:
     )
 
 
-def _holds_below(positions: Float, receiver: Receiver, normals: Float, slack: float) -> bool:
+def _sound(normals: npt.NDArray[np.float32]) -> Float:
+    """``normals``, of which those that are not sound are 0: such a point takes its face's."""
+    return np.nan_to_num(normals.astype(np.float64), posinf=0, neginf=0)
+
+
+def _holds_below(positions: Float, receiver: Receiver, slack: float) -> bool:
     """Whether all lies below the tangent planes at some of the elements."""
     elements = element_triangles(receiver).reshape(-1)
     chosen = np.linspace(0, elements.size - 1, PLANES).astype(np.int64)
-    some = normals[elements[chosen]]
+    some = _sound(receiver.normals[elements[chosen]])
     heights = np.einsum("ec,ec->e", some, positions[receiver.triangles.reshape(-1)[chosen]])
-    return bool(((some @ positions.T).max(axis=1) <= heights + slack).all())
+    few = positions[:: 1 + len(positions) // SOME]
+    return all(
+        bool(((some @ places.T).max(axis=1) <= heights + slack).all())
+        for places in (few, positions)
+    )
 
 
 def _faces_all_ways(corners: Float) -> bool:
@@ -59,9 +67,10 @@ def _faces_all_ways(corners: Float) -> bool:
     return bool(np.abs(cross.sum(axis=0)).max() <= SLACK_OF_AREA * np.abs(cross).sum())
 
 
-def _keeps_to_its_faces(positions: Float, receiver: Receiver, normals: Float, slack: float) -> bool:
+def _keeps_to_its_faces(positions: Float, receiver: Receiver, slack: float) -> bool:
     """Whether what shares a triangle with an element lies below its tangent plane."""
     elements, corners = element_triangles(receiver), positions[receiver.triangles]
+    normals = _sound(receiver.normals)
     for k in range(3):
         sides = corners[:, [(k + 1) % 3, (k + 2) % 3]] - corners[:, k, None]
         if (np.einsum("fsc,fc->fs", sides, normals[elements[:, k]]) > slack).any():

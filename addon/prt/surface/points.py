@@ -54,13 +54,18 @@ class Surface:
 
     @classmethod
     def of(cls, receiver: Receiver) -> "Surface":
-        """The surface of ``receiver``."""
-        corners = receiver.vertices.astype(np.float64)[receiver.triangles]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        double_area = np.sqrt(np.einsum("fc,fc->f", cross, cross))
-        solid = double_area > 0
-        normals = cross / np.where(solid, double_area, 1)[:, None]
-        return cls(corners, normals, solid, 0.5 * double_area)
+        """The surface of ``receiver``, found in pieces that stay in the processor's cache."""
+        vertices, triangles = receiver.vertices.astype(np.float64), np.asarray(receiver.triangles)
+        count = len(triangles)
+        corners, normals = np.empty((count, 3, 3)), np.empty((count, 3))
+        double_area = np.empty(count)
+        for part in _pieces(count):
+            its = vertices.take(triangles[part], 0)
+            cross = np.cross(its[:, 1] - its[:, 0], its[:, 2] - its[:, 0])
+            double = np.sqrt(np.einsum("fc,fc->f", cross, cross))
+            normals[part] = cross / np.where(double > 0, double, 1)[:, None]
+            corners[part], double_area[part] = its, double
+        return cls(corners, normals, double_area > 0, 0.5 * double_area)
 
 
 def element_triangles(receiver: Receiver) -> npt.NDArray[np.int32]:

@@ -103,8 +103,9 @@ class Surroundings:
 def _sample(points: Points) -> Index:
     """Some blocks (B, K) of neighbouring points."""
     count = len(points.origins)
-    starts = np.linspace(0, max(0, count - BLOCK), SAMPLE).astype(np.int64)
-    return np.asarray(np.minimum(np.unique(starts)[:, None] + np.arange(BLOCK), count - 1))
+    last = max(0, count - BLOCK)
+    starts = np.linspace(0, last, min(SAMPLE, last + 1)).astype(np.int64)
+    return np.asarray(np.minimum(starts[:, None] + np.arange(BLOCK), count - 1))
 
 
 def _flat_share(points: Points, rows: Index) -> float:

@@ -134,7 +134,7 @@ def _some(points: Points, places: int) -> Points:
 
 
 def _spread(count: int, places: int) -> npt.NDArray[np.int64]:
-    return np.unique(np.linspace(0, count - 1, min(count, places)).astype(np.int64))
+    return np.linspace(0, count - 1, min(count, places)).astype(np.int64)
 
 
 def _at(points: Points, rows: npt.NDArray[np.int64]) -> Points:
@@ -150,8 +150,8 @@ def estimate_error(
     difference times a constant is the error of the full set.
     """
     few = replace(settings, rays=max(1, settings.rays // 4), seed=settings.seed + 1)
-    chosen = np.unique(np.linspace(0, len(points.origins) - 1, ESTIMATE_POINTS).astype(np.int64))
-    pilot_points = Points(points.origins[chosen], points.normals[chosen], points.element_points[:0])
+    chosen = _spread(len(points.origins), ESTIMATE_POINTS)
+    pilot_points = _at(points, chosen)
     pilot = np.empty((len(chosen), settings.order**2), np.float32)
     *_, cast = trace_all(pilot_points, occlusion, few, pilot)
     return ERROR_OF_DIFFERENCE * relative_rms(pilot, transfer[chosen]), cast

@@ -22,7 +22,7 @@ from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
 from .horizon import Horizon
 from .looking import Look, Shown, stride
 from .open_rays import Alike, OpenRays, turns
-from .rays import Occlusion
+from .rays import Mask, Occlusion
 from .visibility import VisibilitySet
 
 Array = npt.NDArray[np.float32]
@@ -31,8 +31,8 @@ Bits = npt.NDArray[np.uint8]
 Counts = Counter[str]
 
 BATCH_RAYS = 32768
-PARTS = 16  # of the points of a trace, so that threads end together, but
-PART_RAYS = 1 << 17, 1 << 19  # in a part no fewer and no more
+PARTS = 16  # of the points that are left, so that threads end together, but
+PART_RAYS = 1 << 17, 1 << 18  # in a part no fewer and no more
 
 CAST = "cast"
 MAP_RAYS = "cast towards the map's light"
@@ -151,13 +151,17 @@ class Tracer:
         self._buffers = threading.local()
 
     def parts(self) -> Iterator[Alike]:
-        """Some groups of points each, neighbours where they can be."""
-        count = len(self.points.origins)
-        rays = int(np.clip(count * self.rays // PARTS, *PART_RAYS))
-        size = max(4, min(128, rays // (GROUP * self.rays)))
+        """Some groups of points each, neighbours where they can be; fewer and fewer towards the
+        end."""
+        left = len(self.points.origins)
         for alike in self.open_rays.alike():
-            for start in range(0, len(alike.groups), size):
-                yield replace(alike, groups=alike.groups[start : start + size])
+            groups = alike.groups
+            while len(groups):
+                rays = int(np.clip(left * self.rays // PARTS, *PART_RAYS))
+                size = max(4, min(128, rays // (GROUP * self.rays)) // 4 * 4)
+                yield replace(alike, groups=groups[:size])
+                groups = groups[size:]
+                left -= GROUP * size
 
     def trace(self, part: Alike, out: Array) -> Counts:
         """Transfer, what is gathered, and visibility of the points of ``part`` into ``out``; the
@@ -304,7 +308,8 @@ class Tracer:
         if not its.all():
             clear = self._sky(self._others_in_world, origins, matrices, before)
             visible[:, stride(~its)] = clear
-            np.matmul((1 - clear)[:, None], self._ones_and_local[first:][~its], out=others)
+            hit = (1 - clear).astype(np.float32)
+            np.matmul(hit[:, None], self._ones_and_local[first:][~its], out=others)
         if not its.any():
             return
         rays = first + np.flatnonzero(its)
@@ -312,10 +317,10 @@ class Tracer:
         mask = look(Shown(batch.numbers, rays, self._local[rays], *some, others[:, 0]))
         visible[:, stride(its)] = -mask.reshape(count, len(rays))
 
-    def _sky(self, in_world: RaysInWorld, origins: Array, matrices: Array, first: int = 0) -> Array:
+    def _sky(self, in_world: RaysInWorld, origins: Array, matrices: Array, first: int = 0) -> Mask:
         """1 where the rays (P, N) of P points, but the ``first`` ones, reach the sky, else 0."""
         mask = self._occlusion.sky_mask(*self._rays(in_world, origins, matrices, first))
-        return -mask.reshape(len(origins), in_world.count - first).astype(np.float32)
+        return np.negative(mask).reshape(len(origins), in_world.count - first)
 
     def _rays(
         self, in_world: RaysInWorld, origins: Array, matrices: Array, first: int

@@ -43,6 +43,8 @@ class Parts:
 
     def triangles(self) -> list[Index]:
         """The triangles of each part."""
+        if self.count == 1:
+            return [np.arange(len(self.of_triangles))]
         order = np.argsort(self.of_triangles, kind="stable")
         ends = np.cumsum(np.bincount(self.of_triangles, minlength=self.count))
         return np.split(order, ends[:-1])
@@ -62,6 +64,12 @@ class Parts:
             barycentric[:] = corners[triangles] == np.arange(count)[:, None]
         return Places(triangles, barycentric)
 
+    def corners_of(self, places: Places) -> Index:
+        """The points, ascending, at the corners of the triangles of ``places``."""
+        is_one = np.zeros(self.mesh.count, bool)
+        is_one[self.mesh.corners[places.triangles]] = True
+        return np.flatnonzero(is_one)
+
     def point_areas(self) -> Float:
         """A third of the area of the triangles about each point (P,)."""
         thirds = np.repeat(self.surface.areas / 3, 3)
@@ -74,13 +82,16 @@ def parts_of(receiver: Receiver, points: Points, may_fit: bool) -> Parts:
     whole = Surface.of(receiver)
     rows = points.element_points[element_triangles(receiver)].astype(np.int64)
     sound = whole.solid & (rows >= 0).all(axis=1) & (rows != rows[:, [1, 2, 0]]).all(axis=1)
-    surface = Surface(*(values[sound] for values in vars(whole).values()))
+    surface = whole
+    if not sound.all():
+        surface = Surface(*(values[sound] for values in vars(whole).values()))
+        rows = rows[sound]
     count = len(points.origins)
     if not may_fit:
-        bare = unjoined(rows[sound], surface.areas, count)
+        bare = unjoined(rows, surface.areas, count)
         of_points, of_triangles = np.zeros(count, np.int64), np.zeros(len(bare.corners), np.int64)
         return Parts(bare, surface, of_points, of_triangles, 1)
-    mesh = mesh_of(rows[sound], surface.corners, surface.areas, count)
+    mesh = mesh_of(rows, surface.corners, surface.areas, count)
     island = components(mesh.edges, count)
     size = np.bincount(island[mesh.corners[:, 0]], minlength=count)  # triangles, by island
     large, small = size >= OWN, (size >= MIN_ISLAND) & (size < OWN)

@@ -103,8 +103,7 @@ def pilot_error(
     count = int(np.clip(len(points.origins) * PILOT_SHARE, *LOOKS))
     areas = parts.surface.areas
     places = stratified_places(parts.surface, triangles, areas, count, settings.seed)
-    corners = np.unique(parts.mesh.corners[places.triangles])
-    yield from tracer.follow(corners, places, rays)
+    yield from tracer.follow(parts.corners_of(places), places, rays)
     squared = _coarseness(tracer, settings, noise)
     return float(noise * np.sqrt(squared[parts.rest]))
 
@@ -120,8 +119,7 @@ def _pilot(tracer: Tracer, settings: Settings) -> Generator[int, None, None]:
             areas = parts.surface.areas[triangles]
             places.append(stratified_places(parts.surface, triangles, areas, count, settings.seed))
     inside = joined(places)
-    corners = np.unique(parts.mesh.corners[inside.triangles])
-    yield from tracer.follow(corners, inside, tracer.rays)
+    yield from tracer.follow(parts.corners_of(inside), inside, tracer.rays)
 
 
 def _coarseness(tracer: Tracer, settings: Settings, noise: float) -> Float:
