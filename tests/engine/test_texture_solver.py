@@ -16,7 +16,7 @@ from prt_baker.addon.prt.texture.places import Mesh, pilot_points
 from prt_baker.addon.prt.texture.sampling import bilinear
 from prt_baker.addon.prt.texture.stitch import Samples, Wanted, stitch
 from prt_baker.addon.prt.tracing import rays, transfer
-from prt_baker.addon.prt.tracing.buried import buried
+from prt_baker.addon.prt.tracing.buried import OPEN, buried
 from prt_baker.addon.prt.vertex import traced
 
 
@@ -171,21 +171,20 @@ def seam_and_flat_atlas():
     return Samples.across(seams, 8, at)
 
 
-def no_border():
-    nothing = Samples(np.zeros((0, 4), np.int64), np.zeros((0, 4), np.float32))
-    return Wanted(nothing, np.zeros((0, 1), np.float32), 1.0)
+NOTHING = Samples(np.zeros((0, 4), np.int64), np.zeros((0, 4), np.float32))
+NO_BORDER = Wanted(NOTHING, np.zeros((0, 1), np.float32), 1.0)
 
 
 def test_a_stitch_changes_only_what_jumps():
     samples = seam_and_flat_atlas()
     assert len(samples.rows) == 11
     same = np.full((64, 2), 3, np.float32)
-    value_of(stitch(same, samples, no_border(), np.zeros(64)))
+    value_of(stitch(same, samples, NO_BORDER, NOTHING, np.zeros(64)))
     np.testing.assert_allclose(same, 3, rtol=1e-6)
     row, column = np.mgrid[:8, :8]
     apart = np.where(row >= 4, column, row).astype(np.float32).reshape(64, 1)
     before = apart.copy()
-    value_of(stitch(apart, samples, no_border(), np.zeros(64)))
+    value_of(stitch(apart, samples, NO_BORDER, NOTHING, np.zeros(64)))
     assert np.abs(samples.read(apart)).max() < 0.2 * np.abs(samples.read(before)).max()
     read = np.isin(np.arange(64), samples.rows[np.abs(samples.weights) > 0])
     np.testing.assert_array_equal(apart[~read], before[~read])
@@ -197,9 +196,55 @@ def test_texels_outside_give_way_to_those_inside():
     outside = np.where((row == 5) | (column == 4), 0.8, 0).reshape(64)
     apart = np.where(row >= 4, column, row).astype(np.float32).reshape(64, 1)
     before = apart.copy()
-    value_of(stitch(apart, samples, no_border(), outside))
+    value_of(stitch(apart, samples, NO_BORDER, NOTHING, outside))
     change = np.abs(apart - before)[:, 0]
     assert change[outside > 0].max() > 4 * change[outside == 0].max()
+
+
+def test_a_stitch_holds_what_was_fitted_within_texels():
+    samples = seam_and_flat_atlas()
+    at = np.arange(64, dtype=np.int32).reshape(8, 8)
+    places = np.random.default_rng(0).uniform((2.5, 1), (3.5, 6), (40, 2))  # about a side of it
+    within = Samples.at(places, 8, at)
+    row, column = np.mgrid[:8, :8]
+    before = np.where(row >= 4, column, row).astype(np.float32).reshape(64, 1)
+    jump = np.abs(samples.read(before)).max()
+    moved = []
+    for held in (NOTHING, within):
+        values = before.copy()
+        value_of(stitch(values, samples, NO_BORDER, held, np.zeros(64)))
+        assert np.abs(samples.read(values)).max() < 0.3 * jump
+        moved.append(rms(within.read(values) - within.read(before)))
+    assert moved[1] < 0.7 * moved[0]
+
+
+def folded_sheet(width):
+    """A sheet with a fold to and fro, ``width`` wide and smooth in its shading, and how far along
+    itself (17,) its rows of vertices lie; the fold is between 0.45 and 0.45 + 3 ``width``."""
+    bends = 0.45 + width * np.arange(1, 4)
+    along = np.concatenate([np.linspace(0, 0.45, 8), bends, np.linspace(0.5, 0.9, 6)])
+    x, height = along.copy(), np.zeros(17)
+    x[9:] -= 2 * width
+    x[9] = 0.45
+    height[9], height[10:] = 0.2 * width, 0.4 * width
+    vertices, triangles = shapes.grid([0, 0, 0], [1, 0, 0], [0, 0.95, 0], 16)
+    vertices[:, 0], vertices[:, 2] = np.repeat(x, 17), np.repeat(height, 17)
+    return shapes.receiver(vertices, triangles, np.tile([0, 0, 1.0], (289, 1))), along
+
+
+def test_a_fold_within_a_texel_draws_no_dark_line():
+    """Its back, where a column of texels has its centres, sees nothing; what is beside it does."""
+    size, column = 64, 32
+    receiver, along = folded_sheet(0.2 / size)
+    flat = np.stack([np.repeat(along, 17) + 3.4 / size, 0.02 + receiver.vertices[:, 1]], axis=1)
+    uvs = flat[receiver.corner_vertices].astype(np.float32)
+    scene = Bench(receiver, uvs, receiver.vertices, receiver.triangles, size)
+    every, _ = scene.every_texel(64)
+    assert np.median(every[scene.index % size == column, 0]) < 0.05 * OPEN
+    found = scene.solve(256, 0.01)
+    places = np.random.default_rng(0).uniform(0.06, 0.94, (4000, 2))
+    read = bilinear(scene.image(found.index, found.values), places)[:, 0]
+    np.testing.assert_allclose(read, OPEN, rtol=0.03)
 
 
 def test_creases_read_what_was_found_at_them():

@@ -86,7 +86,7 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     before = seams.read(values)
     own = np.flatnonzero(work.state[known] != BURIED)
     border, away = yield from _border(tracer, values, at, np.flatnonzero(known), own)
-    for _ in stitch(values, seams, border, away):
+    for _ in stitch(values, seams, border, within.samples, away):
         yield tracer.cast
     values[:, 0] = np.maximum(values[:, 0], 0)
     entry = {

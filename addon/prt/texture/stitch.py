@@ -8,7 +8,8 @@ texels that are read along borders, most of all those outside, which hardly anyt
 until reads at the border find what was found there and those of both sides meet.
 
 And where a shadow or a fold changes what is found within a texel, the mean of its places is not
-what comes nearest to them once it is read between its neighbours: another fit, before that one.
+what comes nearest to them once it is read between its neighbours: another fit, before that one,
+which then holds the reads there to what it made of them.
 """
 
 from collections.abc import Generator, Sequence
@@ -27,6 +28,7 @@ Array = npt.NDArray[np.float32]
 BEYOND = 0.15  # texels: a centre that is further outside was traced at the border
 FOUND = 1.0  # weight of a read at the border that misses what was found
 WITHIN = 0.5  # weight of a read within a texel that does
+AS_READ = 1.0  # weight of such a read that a seam moves from what it had come to
 LEAST_KEPT = 0.02  # weight of a change of a texel that hardly any place reads; of others 1
 LEAST_SHARE = 1e-6  # of a read: a texel that has less takes no part in it
 EVERY = 0.5  # texels between samples of a seam
@@ -70,6 +72,13 @@ class Samples:
     def whole(self) -> Mask:
         """Which (S,) read only texels that there are."""
         return np.asarray(((self.rows >= 0) | (self.weights == 0)).all(axis=1))
+
+    def meet(self, others: Sequence["Samples"], count: int) -> Mask:
+        """Which (S,) read any of the ``count`` texels that ``others`` read."""
+        used = np.zeros(count, bool)
+        for other in others:
+            used[other.rows[other.weights != 0]] = True
+        return np.asarray((used[self.rows] & (self.weights != 0)).any(axis=1))
 
     def __getitem__(self, chosen: Mask) -> "Samples":
         return Samples(self.rows[chosen], self.weights[chosen])
@@ -226,14 +235,17 @@ def sharpen(values: Array, within: Wanted, smooth: int) -> Generator[None, None,
 
 
 def stitch(
-    values: Array, seams: Samples, border: Wanted, away: Float
+    values: Array, seams: Samples, border: Wanted, within: Samples, away: Float
 ) -> Generator[None, None, None]:
-    """Change ``values`` (T, K) in place: reads across ``seams`` meet, and those at the ``border``
-    find what was found there.  ``away`` (T,) is how far, in texels, the centre of each texel lies
-    outside of its chart.  Yields now and then."""
+    """Change ``values`` (T, K) in place: reads across ``seams`` meet, those at the ``border`` find
+    what was found there, and those ``within`` texels find what they do now.  ``away`` (T,) is how
+    far, in texels, the centre of each texel lies outside of its chart.  Yields now and then."""
     nothing = np.zeros((len(seams.rows), values.shape[1]), np.float32)
     wanted = [w for w in (Wanted(seams, nothing, MEET), border) if len(w.values)]
     if wanted:
+        beside = within[within.meet([w.samples for w in wanted], len(values))]
+        if len(beside.rows):
+            wanted.append(Wanted(beside, beside.read(values), AS_READ))
         keep = np.where(away > 0, 0.5 * np.square(np.maximum(1 - away, 0)), 1)
         kept = np.maximum(keep, LEAST_KEPT).astype(np.float32)
         system = yield from in_thread(lambda: Stitch(wanted, kept))
