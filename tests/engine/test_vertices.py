@@ -13,7 +13,7 @@ from prt_baker.addon.prt.surface.points import Points, Surface, distinct_points,
 from prt_baker.addon.prt.surface.samples import random_places, starts
 from prt_baker.addon.prt.tracing import rays, transfer
 from prt_baker.addon.prt.tracing.buried import buried
-from prt_baker.addon.prt.vertex import solver, traced
+from prt_baker.addon.prt.vertex import solver, traced, values
 from prt_baker.addon.prt.vertex.fit_mesh import interpolated
 from prt_baker.addon.prt.vertex.parts import parts_of
 
@@ -201,6 +201,33 @@ def test_more_columns_are_solved_beside_the_transfer():
     assert values.shape == (len(scene.points.origins), 11)
     np.testing.assert_allclose(values[:, 10], 2 * values[:, 9], rtol=1e-3, atol=1e-4)
     assert np.abs(values[:, 9] - values[:, 0]).max() < 0.05
+
+
+def test_where_a_fit_predicts_samples_badly_points_are_shown_as_they_are(monkeypatch):
+    """A ball that comes out of a larger one, as an eye does: few samples see anything."""
+    (ball, triangles, normals), head = shapes.sphere(28, 56, 0.3), shapes.sphere(48, 96)[:2]
+    eye = ball + np.array([0, 0, 0.78]), triangles
+    scene = Bench(shapes.receiver(*eye, normals), *shapes.join(eye, head))
+    solved = scene.solve(64, 0.03)
+    monkeypatch.setattr(values, "WORSE", np.inf)
+    fitted = scene.solve(64, 0.03)
+    assert (solved.entry["values"]["fitted"], fitted.entry["values"]["fitted"]) == (0, 1)
+    assert solved.entry["rays"] == fitted.entry["rays"]
+    assert scene.error(solved.values) < scene.error(fitted.values)
+
+
+def test_points_without_a_fit_show_what_was_traced_there(monkeypatch):
+    scene, noise = bench("sheet"), NOISE["sheet", 64]
+    assert scene.solve(64, noise).entry["values"]["fitted"] == 1
+    monkeypatch.setattr(values, "WORSE", 0)
+    solved = scene.solve(64, noise)
+    at = solved.traced.point
+    assert solved.entry["values"]["fitted"] == 0
+    shown, found = solved.values[at[at >= 0]], solved.traced.values[at >= 0]
+    seen = shown.any(axis=1) & found.any(axis=1)
+    np.testing.assert_array_equal(shown[seen], found[seen])
+    error = scene.error(solved.values)
+    assert 0.7 < solved.entry["surface_error"] / error < 1.4
 
 
 def test_every_place_says_how_it_was_traced():

@@ -75,6 +75,11 @@ def solve(
     transfer = traced.values[:, : settings.order**2]
     unseen = buried(traced.origins, traced.normals, transfer, occlusion)
     work = Values(points, parts, plans != POINTS, settings, noise)
+    has_points = (plans == BOTH) | (plans == FINE)
+    if has_points.any():
+        shown, dark = work.as_traced(traced, unseen)
+        fill(points, receiver, shown, dark)
+        work.keep_better(traced[~unseen], shown, has_points)
     values, hidden = work.values(traced, unseen)
     filled, givers = fill(points, receiver, values, hidden)
     entry = {

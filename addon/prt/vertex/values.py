@@ -16,6 +16,7 @@ from .parts import Parts, buried_points
 from .traced import Array, Mask, Traced, part_of
 
 TRIAL = (1.0, 0.1)  # weights that tell whether a fit is promising
+WORSE = 1.5  # times the mean square that points miss: more than a fit loses by samples left out
 
 
 @dataclass
@@ -42,6 +43,7 @@ class Values:
         self._order, self.threads, self._points = settings.order, settings.threads, points
         self._is_fitted_again = bool(settings.bounces)
         self._fit_errors = Errors(*np.zeros((3, parts.count)))
+        self._judged: tuple[Float, Float] | None = None
         self.fit: Fit | None = None
 
     @cached_property
@@ -49,14 +51,34 @@ class Values:
         """An open sky's transfer of the points (P, n²)."""
         return sh.open_transfer(self._points.normals, self._order).astype(np.float32)
 
-    def values(self, traced: Traced, unseen: Mask) -> tuple[Array, Mask]:
-        """Values (P, K), and the points that are buried, with values of 0."""
-        parts = self._parts
-        values = np.zeros((parts.mesh.count, traced.values.shape[1]), np.float32)
+    def as_traced(self, traced: Traced, unseen: Mask) -> tuple[Array, Mask]:
+        """As ``values``, without any fit."""
+        values = np.zeros((self._parts.mesh.count, traced.values.shape[1]), np.float32)
         hidden = np.zeros(len(values), bool)
         at = traced.point >= 0
         values[traced.point[at]] = traced.values[at]
         hidden[traced.point[at]] = unseen[at]
+        values[hidden] = 0
+        return values, hidden
+
+    def keep_better(self, traced: Traced, shown: Array, has_points: Mask) -> None:
+        """Of the parts whose points were all traced, ``has_points`` (count,), fit none any more
+        where a fit predicts samples that it was not given far worse than what is ``shown`` (P, K)
+        of the points alone does."""
+        mine = traced[self.fitted[part_of(self._parts, traced)]]
+        samples, _ = self._samples(mine)
+        columns = self._order**2
+        transfer = replace(samples, values=samples.values[:, :columns])
+        self._judged = self._best_weights(transfer)
+        missed = mine.values - interpolated(self._parts.mesh, mine.places, shown)
+        of_points = self._mean_of_spare(samples, squares(missed[:, :columns]))
+        tells = np.bincount(samples.parts, samples.spare, self._parts.count) > 0
+        self.fitted &= ~(has_points & tells & (self._judged[1] > WORSE * of_points))
+
+    def values(self, traced: Traced, unseen: Mask) -> tuple[Array, Mask]:
+        """Values (P, K), and the points that are buried, with values of 0."""
+        parts = self._parts
+        values, hidden = self.as_traced(traced, unseen)
         mine = self.fitted[part_of(parts, traced)]
         if mine.any():
             points = self.fitted[parts.of_points]
@@ -103,7 +125,7 @@ class Values:
         mesh, parts, columns = self._parts.mesh, self._parts, self._order**2
         samples, dimmed = self._samples(traced)
         transfer = replace(samples, values=samples.values[:, :columns])
-        weights, missed = self._best_weights(transfer)
+        weights, missed = self._judged or self._best_weights(transfer)
         noise = traced.noisier * np.random.default_rng(0).standard_normal(len(samples.areas))
         columns_and_noise = [samples.values, noise[:, None].astype(np.float32)]
         samples = replace(samples, values=np.concatenate(columns_and_noise, axis=1))
@@ -118,18 +140,18 @@ class Values:
     def _errors(self, traced: Traced, samples: Samples, missed: Float, noise: Array) -> Errors:
         """What ``samples`` say of a fit: ``missed`` (count,) is the mean square of what it misses
         where samples were left out, ``noise`` (P, 1) what it makes of noise alone."""
-        areas = np.where(samples.spare, samples.areas, 0)
-        weight = np.maximum(np.bincount(samples.parts, areas, self._parts.count), 1e-300)
-
-        def mean(values: npt.NDArray[Any]) -> Float:
-            sums = np.bincount(samples.parts, areas * values, self._parts.count)
-            return np.asarray(sums / weight)
-
-        size = mean(squares(traced.values[:, : self._order**2]))
-        of_places = self._noise**2 * size * mean(traced.noisier**2)
+        size = self._mean_of_spare(samples, squares(traced.values[:, : self._order**2]))
+        noisier = self._mean_of_spare(samples, traced.noisier**2)
+        of_places = self._noise**2 * size * noisier
         shown = interpolated(self._parts.mesh, traced.places, noise)
-        of_noise = self._noise**2 * size * mean(squares(shown))
+        of_noise = self._noise**2 * size * self._mean_of_spare(samples, squares(shown))
         return Errors(size, missed - of_places, of_noise)
+
+    def _mean_of_spare(self, samples: Samples, values: npt.NDArray[Any]) -> Float:
+        """The mean (count,) over each part of ``values`` (S,) of those that may be left out."""
+        areas, count = np.where(samples.spare, samples.areas, 0), self._parts.count
+        weight = np.maximum(np.bincount(samples.parts, areas, count), 1e-300)
+        return np.asarray(np.bincount(samples.parts, areas * values, count) / weight)
 
     def areas(self, traced: Traced) -> Float:
         """The area (M,) that each place stands for."""
@@ -146,7 +168,7 @@ class Values:
         """What the report says of ``values`` and of their errors, relative to the transfer."""
         inside = traced[traced.point < 0]
         seen = ~unseen[traced.point < 0]
-        points = self._point_errors(inside[seen], values)
+        points = self._point_errors(inside[seen], values, self._noisier(traced[traced.point >= 0]))
         of, count = part_of(self._parts, inside), self._parts.count
         looked = np.maximum(np.bincount(of, minlength=count), 1)
         areas = self._parts.areas() * np.bincount(of[seen], minlength=count) / looked
@@ -168,17 +190,26 @@ class Values:
             "surface_error": surface**0.5,
         }
 
-    def _point_errors(self, inside: Traced, values: Array) -> Errors:
-        """What places ``inside`` of the triangles say of ``values`` traced at their corners."""
+    def _noisier(self, points: Traced) -> Float:
+        """The mean square (count,) of how many times noisier each part's ``points`` are."""
+        of, count = part_of(self._parts, points), self._parts.count
+        found = np.bincount(of, points.noisier**2, count)
+        return np.asarray(found / np.maximum(np.bincount(of, minlength=count), 1))
+
+    def _point_errors(self, inside: Traced, values: Array, noisier: Float) -> Errors:
+        """What places ``inside`` of the triangles say of ``values`` traced at their corners, where
+        these are ``noisier`` (count,), squared."""
         parts, columns = self._parts, self._order**2
         transfer, of = inside.values[:, :columns], parts.of_triangles[inside.places.triangles]
         count = np.maximum(np.bincount(of, minlength=parts.count), 1)
         missed = transfer - interpolated(parts.mesh, inside.places, values[:, :columns])
-        both = 1 + np.square(inside.places.barycentric).sum(axis=1)
+        corners = np.square(inside.places.barycentric).sum(axis=1)
+        both = inside.noisier**2 + noisier[of] * corners
         size = np.bincount(of, squares(transfer), parts.count) / count
         missed_squares = np.bincount(of, squares(missed), parts.count) / count
         expected = np.bincount(of, self._noise**2 * size[of] * both, parts.count) / count
-        of_noise = self._noise**2 * size / 2  # the mean square of a place's coordinates is a half
+        # the mean square of a place's coordinates is a half
+        of_noise = self._noise**2 * size * noisier / 2
         return Errors(size, missed_squares - expected + of_noise, of_noise)
 
 
