@@ -5,7 +5,6 @@ happens.
 """
 
 import errno
-import importlib.util
 import json
 import os
 import shutil
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from .prt import job as jobs
+from .prt import packages
 from .prt.compression.request import Coded, Request, read_answer
 from .prt.compression.request import write as write_request
 from .prt.errors import BakeError, no_room
@@ -130,14 +130,11 @@ def _child_path() -> list[str]:
     """This folder, and those of the native packages, found without importing them."""
     folders = [str(Path(__file__).parent)]
     for package in (*NATIVE_PACKAGES, *FOR_TEXTURES):
-        spec = importlib.util.find_spec(package)
-        if spec is None or spec.origin is None:
-            if package in FOR_TEXTURES:
-                continue
+        folder = packages.home(package)
+        if folder is not None:
+            folders.append(str(folder))
+        elif package not in FOR_TEXTURES:
             raise BakeError(f"The package {package} is missing: install the extension again")
-        origin = Path(spec.origin)
-        home = origin.parent.parent if origin.stem == "__init__" else origin.parent
-        folders.append(str(home))
     return list(dict.fromkeys(folders))
 
 

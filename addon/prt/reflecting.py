@@ -18,11 +18,8 @@ PHASE = "reflections"
 
 def reflections(
     job: Job, world: World, cache: Cache, meter: Meter
-) -> Generator[Progress, None, Reflections | None]:
-    """What is reflected of the light of ``job``; None where that is not asked for.  The cache keeps
-    it."""
-    if not job.settings.reflections or job.light is None:
-        return None
+) -> Generator[Progress, None, Reflections]:
+    """What is reflected of the light of ``job``.  The cache keeps it."""
     yield meter.progress(PHASE)
     with meter.phase(PHASE):
         key = f"{PHASE}-{world.key}" if world.key else ""

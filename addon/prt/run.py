@@ -8,8 +8,6 @@ import platform
 import sys
 from collections.abc import Generator, Sequence
 from dataclasses import asdict
-from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +18,7 @@ from .cache import Cache
 from .job import Job, Progress, content_hash
 from .light.world import World
 from .meter import Meter
+from .packages import wheel_version
 from .parallel import workers
 from .results import Atlas, ReceiverResult, Results
 
@@ -56,7 +55,7 @@ def run(job: Job) -> Generator[Progress, None, Results]:
 
         yield from verify(scene, report["objects"])
     reflected = None
-    if job.settings.reflections and job.kind != "verify":
+    if job.settings.reflections and job.light is not None and job.kind != "verify":
         from .reflecting import reflections
 
         reflected = yield from reflections(job, world, cache, meter)
@@ -196,21 +195,6 @@ def versions() -> dict[str, str]:
     """What the result was made with."""
     found = {"prt_baker": VERSION, "python": platform.python_version(), "numpy": np.__version__}
     return found | {package: wheel_version(package) for package in ("embreex", "OpenEXR")}
-
-
-def wheel_version(package: str) -> str:
-    """What an installed ``package`` says of itself in the folder beside it, without loading it or
-    all that ``importlib.metadata`` loads; "unknown" where it says nothing."""
-    spec = find_spec(package)
-    if spec is None or spec.origin is None:
-        return "unknown"
-    place = Path(spec.origin)
-    home = place.parent.parent if place.stem == "__init__" else place.parent
-    for folder in home.glob("*.dist-info"):
-        name, _, its_version = folder.stem.partition("-")
-        if name.lower() == package.lower():
-            return its_version
-    return "unknown"
 
 
 def peak_memory() -> int | None:

@@ -12,8 +12,8 @@ import pytest
 import shapes
 from prt_baker.addon import engine
 from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt.packages import wheel_version
 from prt_baker.addon.prt.results import read_results
-from prt_baker.addon.prt.run import wheel_version
 
 
 @pytest.fixture

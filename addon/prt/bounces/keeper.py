@@ -19,8 +19,6 @@ Array = npt.NDArray[np.float32]
 Retrace = Callable[[Look], Generator[int, None, None]]
 
 SHOWN, ENOUGH = 2, 32  # of so many rays one is looked at, as long as these are enough of a place
-
-
 HITS = ("numbers", "others", "entries", "local")
 
 

@@ -78,7 +78,7 @@ def _replaced(vertices: Vertices, triangles: Triangles, axis: int, uses: Index) 
         return corners
     shared = (its_uses > 0) & (its_uses < uses[own])
     shared[corners] = False
-    near = LINE * float(np.ptp(places[corners], axis=0).max())
+    near = _near(places[corners])
     beside = np.abs(vertices[:, axis] - vertices[triangles[0, 0], axis]) < near
     beside[own] &= its_uses == 0
     others = vertices[beside][:, across].astype(np.float64)
@@ -110,7 +110,7 @@ def _polygon(places: Float, triangles: Triangles, used: Bools) -> Index:
     if not faces_one_way or abs(abs(areas.sum()) - whole) > AREA * whole:
         return none
     inside = np.ones(triangles.shape, bool)
-    near = LINE * float(np.ptp(places[corners], axis=0).max())
+    near = _near(places[corners])
     for depth in _depths(places, places[corners]):
         on_side = (depth < near)[triangles]
         inside &= ~(on_side & np.roll(on_side, -1, axis=1))
@@ -121,6 +121,11 @@ def _areas(places: Float, triangles: npt.NDArray[np.integer]) -> Float:
     """Twice the signed areas (F,)."""
     a, b, c = (places[triangles[:, k]].T for k in range(3))
     return np.asarray((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def _near(corners: Float) -> float:
+    """How far from a side of the polygon of ``corners`` (K, 2) is at it."""
+    return LINE * float(np.ptp(corners, axis=0).max())
 
 
 def _depths(places: Float, corners: Float) -> Float:
