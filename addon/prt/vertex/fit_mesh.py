@@ -12,6 +12,7 @@ from ..surface.samples import Places
 
 Array = npt.NDArray[np.float32]
 
+ROWS = 1024  # points whose samples are summed together: they stay in the processor's cache
 NEEDLE = 0.05  # a triangle counts as at least this high, of the two triangles at an edge
 
 
@@ -175,10 +176,12 @@ class Spread:
         """What the form of the samples is to give (P, K) where these are their ``values``
         (S, K)."""
         out = np.zeros((self._mesh.count, values.shape[1]), np.float32)
-        if len(self._touched):
-            spread = values.take(self._samples, axis=0)
-            spread *= self._shares
-            out[self._touched] = np.add.reduceat(spread, self._first, axis=0)
+        ends = np.append(self._first[ROWS::ROWS], len(self._samples))
+        for low, end in zip(range(0, len(self._touched), ROWS), ends, strict=False):
+            first, points = self._first[low : low + ROWS], self._touched[low : low + ROWS]
+            spread = values.take(self._samples[first[0] : end], axis=0)
+            spread *= self._shares[first[0] : end]
+            out[points] = np.add.reduceat(spread, first - first[0], axis=0)
         return out
 
     def averages(self, sums: Array) -> Array:
