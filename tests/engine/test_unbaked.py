@@ -1,6 +1,7 @@
 """Places on what is not baked, without rays."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import shapes
@@ -49,3 +50,26 @@ def test_light_inside_of_a_thing_is_followed():
 
 def test_the_outside_of_things_in_the_dark_is_followed():
     assert unseen(back=False, light=0.0)[1] == 0
+
+
+def test_triangles_of_a_receiver_are_found_in_any_order():
+    """As one occluder as it is, or turned and shuffled among others'."""
+    floor = shapes.grid([-1, -1, -1], [2, 0, 0], [0, 2, 0], 4)
+    crate = shapes.box(1.0, 6, inward=False)
+    body = shapes.receiver(*crate)
+    points = distinct_points(body)
+    vertices, triangles = shapes.join(floor, crate)
+    alone = job_of((body,), *crate[:2], 0.8)
+    rows = Entries.of(alone, [points]).points.reshape(-1, 3)
+    assert (rows >= 0).all()
+    job = job_of((body,), vertices, triangles, 0.8)
+    starts = np.array([0, len(floor[1]), len(triangles)])
+    whole = Entries.of(replace(job, occluder_starts=starts), [points])
+    order = np.random.default_rng(0).permutation(len(triangles))
+    turned = np.roll(np.asarray(triangles)[order], 1, axis=1)
+    shuffled = Entries.of(replace(job, occluder_triangles=turned), [points])
+    for entries, its in ((whole, np.arange(len(triangles))), (shuffled, order)):
+        first = entries.first[np.argsort(its)][len(floor[1]) :]
+        found = entries.points[first[:, None] + np.arange(3)]
+        np.testing.assert_array_equal(found if its is not order else np.roll(found, -1, 1), rows)
+        assert (entries.levels > 0).sum() == len(floor[1])

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..job import Job
+from ..job import Job, Receiver
 from ..mixing import mixed
 from ..surface.points import Points, element_triangles
 from ..tracing.rays import Met
@@ -160,24 +160,49 @@ def _points_at_corners(job: Job, points: Sequence[Points]) -> Index:
     where the triangle is no receiver's.
 
     A receiver's triangles are found among the occluders by the places of their corners, which are
-    the same to the last bit: both are read from the same evaluated mesh.
+    the same to the last bit: both are read from the same evaluated mesh.  Mostly they are one
+    occluder as it is.
     """
-    triangles = np.asarray(job.occluder_triangles)
-    at_corners = np.full(triangles.shape, -1, np.int64)
-    if not len(triangles) or not len(points):
-        return at_corners
-    keys, turned = _triangle_keys(_place_keys(job.occluder_vertices)[triangles])
-    order = np.argsort(keys, kind="stable")
-    ordered, before = keys[order], 0
-    for receiver, its in zip(job.receivers, points, strict=True):
+    at_corners = np.full((len(job.occluder_triangles), 3), -1, np.int64)
+    before, others = 0, list[tuple[Receiver, Index]]()
+    for receiver, its in zip(job.receivers[: len(points)], points, strict=True):
         rows = its.element_points[element_triangles(receiver)].astype(np.int64)
+        rows = np.where((rows >= 0).all(axis=1, keepdims=True), rows + before, -1)
+        whole = _whole_occluder(job, receiver)
+        if whole is None:
+            others.append((receiver, rows))
+        else:
+            at_corners[whole] = rows
+        before += len(its.origins)
+    if others and len(at_corners):
+        _find(job, others, at_corners)
+    return at_corners
+
+
+def _whole_occluder(job: Job, receiver: Receiver) -> slice | None:
+    """The occluder whose triangles are those of ``receiver``, one by one."""
+    count = len(receiver.triangles)
+    its = receiver.vertices.astype(np.float32).take(receiver.triangles, axis=0)
+    for start in job.occluder_starts[:-1][np.diff(job.occluder_starts) == count]:
+        part = slice(int(start), int(start) + count)
+        corners = job.occluder_vertices.take(job.occluder_triangles[part], axis=0)
+        if np.array_equal(corners.astype(np.float32), its):
+            return part
+    return None
+
+
+def _find(job: Job, receivers: list[tuple[Receiver, Index]], at_corners: Index) -> None:
+    """Put the points (F, 3) at the corners of the triangles of ``receivers`` where these are among
+    the occluders', whichever corner comes first."""
+    keys, turned = _triangle_keys(_place_keys(job.occluder_vertices)[job.occluder_triangles])
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    for receiver, rows in receivers:
         mine, my_turned = _triangle_keys(_place_keys(receiver.vertices)[receiver.triangles])
         found = order[np.minimum(np.searchsorted(ordered, mine), len(order) - 1)]
-        same = (keys[found] == mine) & (rows >= 0).all(axis=1)
-        its_points = np.take_along_axis(rows, my_turned, axis=1)[same] + before
+        same = (keys[found] == mine) & (rows[:, 0] >= 0)
+        its_points = np.take_along_axis(rows, my_turned, axis=1)[same]
         at_corners[found[same][:, None], turned[found[same]]] = its_points
-        before += len(its.origins)
-    return at_corners
 
 
 def _place_keys(vertices: npt.NDArray[Any]) -> Keys:
