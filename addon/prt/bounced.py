@@ -384,7 +384,7 @@ def _mark(used: npt.NDArray[np.bool_], met: Sequence[Gathered], unseen: Any) -> 
         hidden = unseen[before : before + part.count]
         for numbers, entries in part.entries():
             its = entries[~hidden[numbers]] if hidden.any() else entries
-            used[its[its >= 0]] = True
+            used[its.reshape(-1).take(np.flatnonzero(its >= 0))] = True
         before += part.count
 
 

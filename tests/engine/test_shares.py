@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from prt_baker.addon.prt.bounces.chunks import Chunk
 from prt_baker.addon.prt.bounces.shares import FEWEST, shares
 from prt_baker.addon.prt.tracing.hemisphere import cosine_fibonacci
 
@@ -54,3 +55,25 @@ def test_few_rays_have_equal_shares():
     met[0, : 2 * FEWEST] = True
     its, some, _ = found(met, 2)
     np.testing.assert_allclose(its[some], 1 / FEWEST, rtol=1e-6)
+
+
+def test_what_is_packed_has_the_same_means():
+    """Rays to the sky are left out, and places stay as they are without their neighbours."""
+    met = places(70)
+    met[3], met[7], met[:, 0] = True, False, True
+    random = np.random.default_rng(0)
+    entries = np.where(met, random.integers(0, 40, met.shape), -1).astype(np.int32)
+    source_of = np.append(random.permutation(40), 40).astype(np.int32)
+    table = random.random((41, 12), dtype=np.float32)
+    table[-1] = 0
+    others = np.zeros((len(met), 4), np.float32)
+    expected = np.einsum("pw,pwk->pk", shares(met, RAYS, others) * met, table[source_of[entries]])
+
+    def means(rows):
+        packed = Chunk(np.arange(70)[rows], others[rows], entries[rows], RAYS).packed()
+        packed.translate(source_of)
+        return packed.means(table)
+
+    np.testing.assert_allclose(means(slice(None)), expected, rtol=1e-5)
+    np.testing.assert_array_equal(means(slice(20, 50)), means(slice(None))[20:50])
+    assert means(slice(0)).shape == (0, 12)

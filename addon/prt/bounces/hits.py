@@ -9,7 +9,7 @@ bytes.
 
 import threading
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import wait
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -19,56 +19,20 @@ import numpy.typing as npt
 from ..parallel import workers
 from ..tracing.confirm import NEARLY_DARK
 from ..tracing.looking import Look, Shown
-from ..tracing.rays import BLOCKED, CLEAR, Geometry, Mask, Met
+from ..tracing.rays import BLOCKED, Geometry, Mask, Met
+from .chunks import Chunk, Packed, joined
 from .entries import Entries
-from .shares import shares
 
 Array = npt.NDArray[np.float32]
 Index = npt.NDArray[np.int64]
 Entry = npt.NDArray[np.int32]
 
 LIMIT_BYTES = 2 << 30  # of what is kept in a run; beyond, rays are traced again for every bounce
-PIECE = 1 << 10  # places of a chunk, which one thread sums
 JOINED = 8  # chunks of a trace, whose places are a piece or less
-CACHED = 1 << 18  # floats that are found before they are summed: they stay in the processor's cache
 PROBE = 8  # of so many places one tells whether the others will be dark
 MOSTLY = 0.25  # of places that are dark: so many are not worth casting twice
 PLASTIC = 0.7548776662466927  # Roberts' R1: draws corners evenly over the rays of a place
 GOLDEN = 0.6180339887498949
-
-
-@dataclass
-class Chunk:
-    """What rays along ``local`` (W, 3) of the places ``numbers`` (P,) meet, all of which meet
-    something: the ``entries`` (P, W) that they end at, -1 where they reach the sky; and of the
-    ``others`` (P, 4), that nobody looked at, what ``shares`` asks for."""
-
-    numbers: Index
-    others: Array
-    entries: Entry
-    local: Array
-
-    @property
-    def bytes(self) -> int:
-        """What it takes in memory, its shares included."""
-        return 2 * self.entries.nbytes
-
-    def translate(self, source_of: Entry) -> None:
-        """Put the sources ``source_of`` (2 count + 1,) entries in their place; the last of them is
-        that of the sky."""
-        self._shares = shares(self.entries >= 0, self.local, self.others)
-        self.entries = source_of.take(self.entries)
-
-    def means(self, table: Array) -> Array:
-        """The means (P, K), over what each place meets, of the rows of ``table`` (S + 1, K), which
-        are sources; nothing comes from the last one."""
-        width, columns = self.entries.shape[1], table.shape[1]
-        means = np.empty((len(self.numbers), 1, columns), np.float32)
-        rows = max(1, CACHED // max(1, width * columns))
-        for some in (slice(low, low + rows) for low in range(0, len(means), rows)):
-            found = table.take(self.entries[some], axis=0, mode="clip")
-            np.matmul(self._shares[some, None], found, out=means[some])
-        return means[:, 0]
 
 
 class Gathered(Protocol):
@@ -104,16 +68,23 @@ class Meeting:
         rays, width = shown.rays, len(shown.rays)
         open_rays = int(rays[0]) // int(rays[1] - rays[0]) if width > 1 else 0
         met = self._met(open_rays, width, shown.origins, shown.directions)
-        entries = self._entries.drawn(met, self._random(shown.numbers, rays))
-        product = met.facing * shown.directions
+        entries = np.full(len(met.triangles), -1, np.int32)
+        blocked = np.flatnonzero(met.triangles >= 0)
+        entries[blocked] = self._entries_of(met, blocked, shown)
+        mask = np.minimum(entries, BLOCKED)  # -1 is CLEAR
+        its = entries.reshape(-1, width)
+        some = np.flatnonzero((its >= 0).any(axis=1))
+        return mask, Chunk(shown.numbers[some], shown.others[some], its[some], shown.local)
+
+    def _entries_of(self, met: Met, blocked: Index, shown: Shown) -> Entry:
+        """The entries (B,) that the rays ``blocked`` (B,) of those ``shown`` end at."""
+        its = Met(*(values.take(blocked, axis=0) for values in vars(met).values()))
+        random = self._random(shown.numbers, shown.rays, blocked)
+        entries = self._entries.drawn(its, random)
+        product = its.facing * shown.directions.take(blocked, axis=0)
         is_back = product[:, 0] + product[:, 1] + product[:, 2] > 0
         entries += is_back * np.int32(self._entries.count)
-        blocked = met.triangles >= 0
-        entries[~blocked] = -1
-        some = np.flatnonzero(blocked.reshape(-1, width).any(axis=1))
-        its = entries.reshape(-1, width)[some]
-        mask = np.where(blocked, np.int32(BLOCKED), np.int32(CLEAR))
-        return mask, Chunk(shown.numbers[some], shown.others[some], its, shown.local)
+        return entries
 
     def _met(self, first: int, width: int, origins: Array, directions: Array) -> Met:
         """What rays meet, ``width`` of each place, whose ``first`` ones are clear.
@@ -150,20 +121,25 @@ class Meeting:
                 getattr(met, name)[rays] = values
         return met, len(dark) / max(1, len(clear))
 
-    def _random(self, numbers: Index, rays: Index) -> Array:
-        """What draws the corners for ``rays`` (W,) of places ``numbers`` (P,), one after the other,
-        in [0, 1)."""
+    def _random(self, numbers: Index, rays: Index, chosen: Index) -> Array:
+        """What draws the corners for the ``chosen`` (B,) of ``rays`` (W,) of places ``numbers``
+        (P,), one after the other, in [0, 1)."""
         shift = (numbers * GOLDEN + self._seed * PLASTIC) % 1
-        drawn = shift.astype(np.float32)[:, None] + (rays * PLASTIC % 1).astype(np.float32)
+        every = shift.astype(np.float32)[:, None] + (rays * PLASTIC % 1).astype(np.float32)
+        drawn = every.reshape(-1).take(chosen)
         drawn -= drawn >= 1
-        return np.asarray(drawn.reshape(-1))
+        return drawn
 
 
 class Kept:
-    """What rays of ``count`` places meet, in memory."""
+    """What rays of ``count`` places meet, in memory.  The ``chunks`` are packed beside what is done
+    meanwhile, which does not keep all cores busy."""
 
     def __init__(self, count: int, threads: int, chunks: list[Chunk]) -> None:
-        self._count, self._threads, self._chunks = count, threads, chunks
+        self._count, self._threads = count, threads
+        beside = workers(1)
+        self._packed = [beside.submit(chunk.packed) for chunk in chunks]
+        beside.shutdown(wait=False)
         self._translated = False
 
     @property
@@ -173,27 +149,27 @@ class Kept:
 
     def entries(self) -> Iterator[tuple[Index, Entry]]:
         """See Gathered."""
-        return ((chunk.numbers, chunk.entries) for chunk in self._chunks)
+        return ((its.numbers, its.entries) for its in map(Future.result, self._packed))
 
     def gather(
         self, table: Array, source_of: Entry, hidden: Array, out: Array
     ) -> Generator[int, None, None]:
         """See Gathered.  The first time, sources take the place of the entries."""
         if not self._translated:
-            yield from self._each(lambda chunk: chunk.translate(source_of))
+            yield from self._each(lambda its: its.translate(source_of))
             self._translated = True
         looked_at = np.zeros(self._count, bool)
 
-        def mean(chunk: Chunk) -> None:
-            out[chunk.numbers], looked_at[chunk.numbers] = chunk.means(table), True
+        def mean(its: Packed) -> None:
+            out[its.numbers], looked_at[its.numbers] = its.means(table), True
 
         yield from self._each(mean)
         _shade(out, looked_at, hidden)
 
-    def _each(self, work: Callable[[Chunk], None]) -> Iterator[int]:
-        """Do ``work`` with every chunk, whichever comes first."""
+    def _each(self, work: Callable[[Packed], None]) -> Iterator[int]:
+        """Do ``work`` with all that is packed, whichever comes first."""
         with workers(self._threads) as pool:
-            for future in [pool.submit(work, chunk) for chunk in self._chunks]:
+            for future in [pool.submit(work, its.result()) for its in self._packed]:
                 while not wait([future], timeout=0.5).done:
                     yield 0
                 future.result()
@@ -236,8 +212,9 @@ class Again:
 
         def look(shown: Shown) -> Mask:
             mask, chunk = self._meeting(shown)
-            chunk.translate(source_of)
-            out[chunk.numbers], looked_at[chunk.numbers] = chunk.means(table), True
+            its = chunk.packed()
+            its.translate(source_of)
+            out[its.numbers], looked_at[its.numbers] = its.means(table), True
             return mask
 
         yield from self._trace(look)
@@ -270,8 +247,9 @@ class Leaving:
         def look(shown: Shown) -> Mask:
             mask, chunk = self.meeting(shown)
             hidden = np.count_nonzero(chunk.entries >= 0, axis=1).astype(np.float32) / rays
-            chunk.translate(self.source_of)
-            out[chunk.numbers] = chunk.means(self.table) * hidden[:, None]
+            its = chunk.packed()
+            its.translate(self.source_of)
+            out[its.numbers] = its.means(self.table) * hidden[:, None]
             return mask
 
         return look
@@ -329,21 +307,3 @@ class Budget:
     def give_back(self, size: int) -> None:
         """What was taken is free again."""
         self._left += size
-
-
-def split(hits: Chunk) -> list[Chunk]:
-    """``hits`` in chunks of PIECE places."""
-    parts = (slice(i, i + PIECE) for i in range(0, len(hits.numbers), PIECE))
-    return [Chunk(hits.numbers[p], hits.others[p], hits.entries[p], hits.local) for p in parts]
-
-
-def joined(chunks: list[Chunk]) -> Chunk:
-    """All of ``chunks`` as one.  Of the narrower ones the first rays are known to be open."""
-    local = max((chunk.local for chunk in chunks), key=len, default=np.empty((0, 3), np.float32))
-    numbers = np.concatenate([np.empty(0, np.int64), *(chunk.numbers for chunk in chunks)])
-    others = np.concatenate([np.empty((0, 4), np.float32), *(chunk.others for chunk in chunks)])
-    entries, before = np.full((len(numbers), len(local)), -1, np.int32), 0
-    for its in (chunk.entries for chunk in chunks):
-        entries[before : before + len(its), len(local) - its.shape[1] :] = its
-        before += len(its)
-    return Chunk(numbers, others, entries, local)

@@ -12,8 +12,9 @@ from ..surface.points import Points
 from ..tracing.looking import Look
 from ..tracing.rays import Geometry, Occlusion
 from ..tracing.transfer import Counts, Shortcuts, trace_all
+from .chunks import Chunk, split
 from .entries import Entries
-from .hits import Again, Budget, Chunk, Gathered, Kept, Meeting, Recorder, split
+from .hits import Again, Budget, Gathered, Kept, Meeting, Recorder
 
 Array = npt.NDArray[np.float32]
 Retrace = Callable[[Look], Generator[int, None, None]]

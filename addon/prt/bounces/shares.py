@@ -34,7 +34,6 @@ def shares(met: Mask, local: Array, others: Array) -> Array:
     level = 1 - np.einsum("pc,pc->p", mean, pull)[:, None]
     linear = np.concatenate([level, pull], axis=1) / count
     found = (linear[:, None] @ np.concatenate([ones, local], axis=1).T)[:, 0]
-    if found.min(initial=0) < 0:
-        found[(found < 0).any(axis=1)] = 0
-        found = np.where(found.any(axis=1, keepdims=True), found, 1 / count)
+    negative = found.min(axis=1, initial=0) < 0
+    found[negative] = 1 / count[negative]
     return np.asarray(found, np.float32)

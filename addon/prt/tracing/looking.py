@@ -35,6 +35,22 @@ class Look(Protocol):
         ...
 
 
+class Split:
+    """How the rays ``local`` (N, 3) of a point, but the ``first`` ones, are split into those that
+    are ``chosen`` (N,) to be looked at, ``rays`` (W,) along ``local`` (W, 3), and the others.
+    ``mine`` and ``others`` pick their columns, of which ``mine_before`` and ``others_before`` are
+    among the first; ``ones_and_local`` (N - first - W, 4) is what is summed of the others."""
+
+    def __init__(self, chosen: npt.NDArray[np.bool_], local: Array, first: int) -> None:
+        its = chosen[first:]
+        self.mine, self.others = stride(its), stride(~its)
+        self.mine_before = int(chosen[:first].sum())
+        self.others_before = first - self.mine_before
+        self.rays = first + np.flatnonzero(its)
+        self.local = local[self.rays]
+        self.ones_and_local = np.insert(local[first:][~its], 0, 1, axis=1)
+
+
 def stride(chosen: npt.NDArray[np.bool_]) -> Any:
     """The ``chosen`` columns, as a slice where they are one: numpy fills it eight times faster."""
     where = np.flatnonzero(chosen)

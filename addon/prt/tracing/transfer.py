@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +21,7 @@ from ..surface.points import Points
 from .confirm import confirmed, doubtful
 from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
 from .horizon import Horizon
-from .looking import Look, Shown, stride
+from .looking import Look, Shown, Split
 from .open_rays import Alike, OpenRays, turns
 from .rays import Mask, Occlusion
 from .visibility import VisibilitySet
@@ -141,11 +142,10 @@ class Tracer:
         self._seen_sh = VisibilitySet(settings.rays, visibility_order) if visibility_order else None
         self._shortcuts, self._gather = shortcuts, gather
         self.open_rays = OpenRays(shortcuts.horizon, points, settings.rays)
-        self._ones_and_local = np.insert(self._local, 0, 1, axis=1)
         step = max(1, shortcuts.shown if shortcuts.look else shortcuts.pilot)
         first = step // 2 if shortcuts.look else 0
         chosen = np.arange(self.rays) % step == first  # to be looked at, or cast before the others
-        self._chosen = chosen
+        self._split = cache(partial(Split, chosen, self._local))
         self._chosen_in_world = RaysInWorld(hemisphere.directions[chosen])
         self._others_in_world = RaysInWorld(hemisphere.directions[~chosen])
         self._buffers = threading.local()
@@ -301,21 +301,19 @@ class Tracer:
     def _look(self, look: Look, batch: _Few, visible: Array) -> None:
         """Those after the first that need no tracing, ``visible`` (P, N - first), of which some are
         looked at."""
-        origins, matrices, first = batch.origins, batch.matrices, batch.open.first
-        its, count = self._chosen[first:], len(batch.numbers)
-        before = first - int(self._chosen[:first].sum())
+        origins, matrices, split = batch.origins, batch.matrices, self._split(batch.open.first)
+        count = len(batch.numbers)
         others = np.zeros((count, 1, 4), np.float32)
-        if not its.all():
-            clear = self._sky(self._others_in_world, origins, matrices, before)
-            visible[:, stride(~its)] = clear
+        if len(split.ones_and_local):
+            clear = self._sky(self._others_in_world, origins, matrices, split.others_before)
+            visible[:, split.others] = clear
             hit = (1 - clear).astype(np.float32)
-            np.matmul(hit[:, None], self._ones_and_local[first:][~its], out=others)
-        if not its.any():
+            np.matmul(hit[:, None], split.ones_and_local, out=others)
+        if not len(split.rays):
             return
-        rays = first + np.flatnonzero(its)
-        some = self._rays(self._chosen_in_world, origins, matrices, first - before)
-        mask = look(Shown(batch.numbers, rays, self._local[rays], *some, others[:, 0]))
-        visible[:, stride(its)] = -mask.reshape(count, len(rays))
+        some = self._rays(self._chosen_in_world, origins, matrices, split.mine_before)
+        mask = look(Shown(batch.numbers, split.rays, split.local, *some, others[:, 0]))
+        visible[:, split.mine] = -mask.reshape(count, len(split.rays))
 
     def _sky(self, in_world: RaysInWorld, origins: Array, matrices: Array, first: int = 0) -> Mask:
         """1 where the rays (P, N) of P points, but the ``first`` ones, reach the sky, else 0."""
