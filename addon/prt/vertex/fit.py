@@ -31,8 +31,7 @@ from .fit_mesh import (
 ANCHOR = 1e-6  # of the diagonal: holds what neither a sample nor an edge holds
 ROUGHLY, TOLERANCE = 1e-3, 3e-4  # of the norm of the right side, every row over its diagonal
 STEPS = 60
-ROWS = 4096  # in one block of a step: it stays in the processor's cache
-ROWS_AGAIN = 8192  # threads wait less for Python's lock; it would round a first fit otherwise
+ROWS = 8192  # in one block of a step: in fewer ones threads wait for Python's lock
 WEIGHTS = (3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003)  # of the gradient's jumps
 LEFT_OUT = 5  # every fifth sample tests a weight
 STRETCHES, STRETCH = 12, 2048  # points that choose the weights of a large mesh
@@ -81,14 +80,11 @@ class System:
             out[: stop - rows.start] += some
         return out
 
-    def solve(
-        self, right: Array, guess: Array, tolerance: float = TOLERANCE, rows: int = ROWS
-    ) -> Array:
+    def solve(self, right: Array, guess: Array, tolerance: float = TOLERANCE) -> Array:
         """The x (P, K) that this matrix takes to ``right`` plus the anchor at ``guess``, both in
-        the order of the points; conjugate gradients, each column for itself, so many ``rows`` at a
-        time."""
+        the order of the points; conjugate gradients, each column for itself."""
         with workers(self._threads) as pool:
-            steps = _Gradients(self, right[self.order], guess[self.order], pool, rows)
+            steps = _Gradients(self, right[self.order], guess[self.order], pool)
             energy = steps.start()
             for _ in range(STEPS):
                 if (energy <= tolerance**2 * steps.size).all():
@@ -107,12 +103,12 @@ class _Gradients:
     """
 
     def __init__(
-        self, system: System, right: Array, guess: Array, pool: ThreadPoolExecutor, rows: int
+        self, system: System, right: Array, guess: Array, pool: ThreadPoolExecutor
     ) -> None:
         self._system, self._pool = system, pool
         self.x, self._residual = guess, right + system.anchor * guess
         self._towards, self._image = np.empty_like(right), np.empty_like(right)
-        self._blocks = [slice(i, min(i + rows, len(right))) for i in range(0, len(right), rows)]
+        self._blocks = [slice(i, min(i + ROWS, len(right))) for i in range(0, len(right), ROWS)]
         self.size = np.zeros(right.shape[1])
         self._length: Array = np.zeros(right.shape[1], np.float32)
         self._keep = self._length
@@ -209,7 +205,7 @@ class Fit:
         """As ``solve`` did last, for other ``values`` (S, K) of the same samples, to within this
         ``tolerance``."""
         right = self._spread.sums(values)
-        return self._system.solve(right, self._spread.averages(right), tolerance, ROWS_AGAIN)
+        return self._system.solve(right, self._spread.averages(right), tolerance)
 
     def averages(self, values: Array) -> Array:
         """Averages (P, K) about each point of other ``values`` (S, K) of the samples that were
