@@ -4,11 +4,14 @@ A bake in this process, on one thread, writes down where each ray starts and goe
 asks embreex for, those of its pilots and of its estimate too.  The bare loop hands just these to
 embreex, in that order and in batches as large as the engine's, to the same structure and on as many
 threads as the bake has.  The bake is the engine's whole run in its own process: start, job and
-results on disk, points, acceleration structure, rays, error estimate.  Values are fitted to nothing
-and no residual is found, whose rays are no part of it.  All take turns.
+results on disk, points, acceleration structure, rays, error estimate.  Its work is what it does
+once it runs and has the structure, as the bare loop has: from the mesh's arrays to the values'.
+Values are fitted to nothing and no residual is found, whose rays are no part of it.  All take
+turns.
 
 Where the engine knows of rays that they reach the sky, there are two bare loops: one over all rays
 of the bake, as a bake without that knowledge would cast them, and one over those that are cast.
+The open field is as large as memory lets all its rays be written down.
 """
 
 import argparse
@@ -29,16 +32,18 @@ from prt_baker.addon.prt.cache import Cache
 from prt_baker.addon.prt.light.world import World
 from prt_baker.addon.prt.meter import Meter
 from prt_baker.addon.prt.parallel import available_cores
+from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.tracing.rays import Geometry, Mask, Met, Vectors
 
 SCENES = {
     "torus knot": lambda: scenes.knot(2200, 48),
     "cortex": scenes.cortex,
-    "open field": scenes.SMALL["field"],
+    "open field": lambda: scenes.field(quads=500),
 }
-HEADER = """| scene | rays a point | rays | bare embreex loop | whole bake | ratio \
-| cast of them | ratio, of what is cast alone |
-|---|---|---|---|---|---|---|---|"""
+HEADER = """| scene | points | rays a point | rays | bare embreex loop | whole bake | ratio \
+| its work, ratio | cast of them | its work, of what is cast alone |
+|---|---|---|---|---|---|---|---|---|---|"""
+BEFORE = ("light", "acceleration structure")  # phases that come before a bake's work
 
 
 class Recording:
@@ -98,13 +103,14 @@ def bare_loop(rays: Recording, threads: int) -> float:
     return time.perf_counter() - start
 
 
-def whole_bake(job: jobs.Job) -> float:
-    """Seconds from the job's arrays to the results' arrays."""
+def whole_bake(job: jobs.Job) -> tuple[float, float]:
+    """Seconds from the job's arrays to the results' arrays, and of its work alone."""
     start = time.perf_counter()
     with engine.job_folder() as folder:
-        for _ in engine.run(job, folder):
-            pass
-        return time.perf_counter() - start
+        results = value_of(engine.run(job, folder))
+        whole = time.perf_counter() - start
+    phases = results.report["seconds"].items()
+    return whole, sum(seconds for name, seconds in phases if name not in BEFORE)
 
 
 def row(title: str, scene: scenes.Scene, rays: int, turns: int) -> str:
@@ -115,15 +121,18 @@ def row(title: str, scene: scenes.Scene, rays: int, turns: int) -> str:
     taken = []
     for _ in range(turns):
         bare = bare_loop(every, threads)
-        taken.append((bare, whole_bake(job), bare_loop(cast, threads) if skips else bare))
+        taken.append((bare, *whole_bake(job), bare_loop(cast, threads) if skips else bare))
     bare, whole = (
         every.rays / statistics.median(column) for column in [*zip(*taken, strict=True)][:2]
     )
-    ratios = [statistics.median(its[k] / its[1] for its in taken) for k in (0, 2)]
+
+    def ratio(loop: int, bake: int) -> float:
+        return statistics.median(its[loop] / its[bake] for its in taken)
+
     return (
-        f"| {title} | {rays:,} | {every.rays / 1e6:.1f} M | {bare / 1e6:.2f} Mrays/s "
-        f"| {whole / 1e6:.2f} Mrays/s | **{ratios[0]:.2f}** | {cast.rays / every.rays:.0%} "
-        f"| {ratios[1]:.2f} |"
+        f"| {title} | {len(scene.origins):,} | {rays:,} | {every.rays / 1e6:.1f} M "
+        f"| {bare / 1e6:.2f} Mrays/s | {whole / 1e6:.2f} Mrays/s | {ratio(0, 1):.2f} "
+        f"| **{ratio(0, 2):.2f}** | {cast.rays / every.rays:.0%} | {ratio(3, 2):.2f} |"
     )
 
 

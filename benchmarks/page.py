@@ -102,11 +102,11 @@ SCALE = """A displaced sheet under a thousand rocks, ten million triangles toget
 """
 
 RATE = """A whole bake, from arrays to arrays in the engine's own process, beside a bare embreex
-loop over the same rays, in the same order, with the same flags and threads, taking turns. What a
-bake takes besides its rays is most of a second, for the start of its process, the points and the
-acceleration structure: a small mesh (*cortex*) is traced in less. On the open field many rays are
-known to reach the sky: the first ratio is to a bare loop over all of them, the last to one over
-those that are cast.
+loop over the same rays, in the same order, with the same flags and threads, taking turns. *Its
+work* is without what the loop is spared too: the start of a process, files and the acceleration
+structure, which take half a second and more, and a small mesh (*cortex*) is traced in less. On the
+open field most rays are known to reach the sky: the first ratios are to a bare loop over all of
+them, the last to one over those that are cast.
 """
 
 
@@ -164,7 +164,7 @@ SECTIONS = (
     Section("Error against run time", CURVES, curves, is_short=True),
     Section("The error that was asked for", TOLERANCE, tolerance, is_short=True),
     Section("Rate", RATE, script("bake_rate.py"), is_short=True),
-    Section("Error on the surface", SURFACE, script("surface_error.py")),
+    Section("Error on the surface", SURFACE, script("surface_error.py"), is_short=True),
     Section("Pictures", PICTURES, script("pictures.py")),
     Section("Reflections", REFLECTIONS, script("specular.py")),
     Section("Bounces", BOUNCES, script("bounces.py")),

@@ -23,7 +23,7 @@ import shapes
 ROCKS = 1000
 SIZE = 100.0  # metres along a side
 # phases whose work grows with the points
-OF_POINTS = ("prepare", "horizon", "transfer", "estimate")
+OF_POINTS = ("prepare", "horizon", "transfer", "values", "estimate")
 Mesh = tuple[np.ndarray, np.ndarray]
 
 

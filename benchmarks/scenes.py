@@ -232,5 +232,4 @@ BUILDERS: dict[str, Callable[[], Scene]] = {
 SMALL: dict[str, Callable[[], Scene]] = {
     **BUILDERS,
     "city": lambda: city(quads=1),
-    "field": lambda: field(quads=300),
 }

@@ -19,6 +19,7 @@ from .meter import Meter
 from .results import RESULT_ARRAYS, ReceiverResult
 from .surface.points import Points, distinct_points
 from .tape import PlaceTape, Remembered, Tape
+from .tracing.flats import Parts, fewer
 from .tracing.rays import Geometry, occlusion
 from .tracing.surroundings import Surroundings
 from .tracing.tolerance import FALL, Effort, effort, estimate_error
@@ -59,9 +60,19 @@ class Scene:
         self.job, self.world, self.cache, self.meter = job, world, cache, meter
         self._whole = whole
         self._keys = Keys(job)
-        self.surroundings = Surroundings(
+        self._occluders = Parts.of(
             job.occluder_vertices, job.occluder_triangles, job.occluder_starts
         )
+        self.surroundings = Surroundings(self._occluders, lambda: self._fewer)
+
+    @cached_property
+    def _fewer(self) -> Parts:
+        """The occluders with each flat grid as a few large triangles, for all that need not know
+        which triangle is met."""
+        if self._whole is not None:
+            return self._whole._fewer  # noqa: SLF001 - another Scene's
+        with self.meter.phase("acceleration structure"):
+            return fewer(self._occluders)
 
     @cached_property
     def occlusion(self) -> Geometry:
@@ -69,10 +80,11 @@ class Scene:
         if self._whole is not None:
             return self._whole.occlusion
         with self.meter.phase("acceleration structure"):
-            job = self.job
-            starts = () if job.bounces else job.occluder_starts  # light bounces off triangles
-            threads, rays = job.settings.threads, self._rays()
-            return occlusion(job.occluder_vertices, job.occluder_triangles, rays, threads, starts)
+            met = (
+                self._occluders if self.job.bounces else self._fewer
+            )  # light bounces off those met
+            threads = self.job.settings.threads
+            return occlusion(met.vertices, met.triangles, self._rays(), threads)
 
     @cached_property
     def channels(self) -> int:
@@ -210,7 +222,7 @@ class Bake(ABC, Generic[What]):
         pilot = 0 if self._looks() else self._effort.pilot
         self._shortcuts = replace(self._shortcuts, pilot=pilot)
         expected = self._expected * (self._effort.rays + self._map_rays())
-        with meter.phase("transfer"):
+        with meter.phase("values"):
             found = self._found()
             solved = yield from meter.follow("transfer", found, self._expected, expected)
         if not tape.known:
@@ -247,16 +259,17 @@ class Bake(ABC, Generic[What]):
         recorder = self._keeper.recorder() if self._keeper and not self._tape.known else None
         shown = self._keeper.shown_of(rays) if self._keeper else 1
         shortcuts = replace(self._shortcuts, shown=shown)
-        self._counts += yield from trace_all(
-            places,
-            self._occlusion,
-            replace(self._settings, rays=rays),
-            values,
-            shortcuts=replace(shortcuts, bits=bits, known=known, look=self._look or recorder),
-            gather=gather,
-            visibility_order=visibility_order,
-            azimuth=self._azimuths(origins, normals),
-        )
+        with self._scene.meter.phase("transfer"):
+            self._counts += yield from trace_all(
+                places,
+                self._occlusion,
+                replace(self._settings, rays=rays),
+                values,
+                shortcuts=replace(shortcuts, bits=bits, known=known, look=self._look or recorder),
+                gather=gather,
+                visibility_order=visibility_order,
+                azimuth=self._azimuths(origins, normals),
+            )
         if self._keeper is not None and isinstance(self._tape, Tape):
             settings = replace(self._settings, rays=rays)
             again = self._keeper.retrace(places, self._occlusion, settings, shortcuts)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapes
 from prt_baker.addon.prt.tracing import rays
-from prt_baker.addon.prt.tracing.flats import fewer
+from prt_baker.addon.prt.tracing.flats import Parts, fewer
 
 COUNT = 20  # squares along a side: 800 triangles
 CIRCLE = np.linspace(0, 2 * np.pi, 12, endpoint=False)
@@ -18,9 +18,11 @@ def fewer_of(*parts):
     """The corners of the triangles that stand for ``parts``, (F, 3, 3), and of all of these."""
     vertices, triangles = shapes.join(*parts)
     starts = np.cumsum([0] + [len(part[1]) for part in parts])
-    vertices = vertices.astype(np.float32)
-    fewer_vertices, fewer_triangles = fewer(vertices, triangles, starts)
-    return fewer_vertices[fewer_triangles], vertices[triangles]
+    before = Parts.of(vertices, triangles, starts)
+    after = fewer(before)
+    assert len(after.starts) == len(starts)
+    assert after.starts[-1] == len(after.triangles)
+    return (p.vertices[p.triangles] for p in (after, before))
 
 
 def area_vectors(corners):
@@ -136,9 +138,11 @@ def test_rays_find_the_same():
     random = np.random.default_rng(3)
     origins = random.uniform(-3, 3, (100_000, 3)).astype(np.float32)
     directions = random.normal(size=origins.shape).astype(np.float32)
-    starts = [0, len(parts[0][1])]
+    starts = [0, len(parts[0][1]), len(all_of_them)]
+    few = fewer(Parts.of(vertices, all_of_them, starts))
+    assert few.starts.tolist() == [0, 2, 2 + len(triangles)]
     whole = rays.occlusion(vertices, all_of_them)
-    large = rays.occlusion(vertices, all_of_them, part_starts=starts)
+    large = rays.occlusion(few.vertices, few.triangles)
     found, expected = (g.sky_mask(origins, directions) for g in (large, whole))
     assert 0.2 < (found == rays.BLOCKED).mean() < 0.9
     np.testing.assert_array_equal(found, expected)

@@ -8,6 +8,7 @@ from prt_baker.addon.prt.job import Settings
 from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.surface import points
 from prt_baker.addon.prt.tracing import clusters, hemisphere, horizon, rays, surroundings, transfer
+from prt_baker.addon.prt.tracing.flats import Parts, fewer
 
 
 def rotation(seed):
@@ -29,11 +30,17 @@ def open_field(turn=None):
     return receiver, (vertices @ turn.T).astype(np.float32), triangles
 
 
+def clusters_of(vertices, triangles):
+    """Of one thing."""
+    return clusters.Clusters.of(Parts.of(vertices, triangles, [0, len(triangles)]))
+
+
 def horizon_of(receiver, vertices, triangles, starts=None):
     """The points and what is known of their surroundings."""
     where = points.distinct_points(receiver)
     starts = [0, len(triangles)] if starts is None else starts
-    around = surroundings.Surroundings(vertices, triangles, starts)
+    occluders = Parts.of(vertices, triangles, starts)
+    around = surroundings.Surroundings(occluders, lambda: fewer(occluders))
     return where, around.horizon(receiver, where, len(where.origins), 256)
 
 
@@ -71,7 +78,7 @@ def test_no_open_direction_is_blocked_over_rough_ground():
     normals = np.concatenate([-slopes, np.ones((len(slopes), 1))], 1)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     where = points.distinct_points(shapes.receiver(ground[0], ground[1], normals))
-    found = horizon.Horizon(clusters.Clusters.of(vertices.astype(np.float32), triangles, [0]))
+    found = horizon.Horizon(clusters_of(vertices, triangles))
     plain, _ = traced(where, vertices, triangles)
     short, few = traced(where, vertices, triangles, horizon=found)
     np.testing.assert_allclose(short, plain, atol=1e-6)
@@ -85,7 +92,7 @@ def test_each_sector_knows_what_stands_in_it(turn):
     post = shapes.grid([3, -0.1, 0.1], [0, 0.2, 0], [0, 0, 9], 6)
     vertices, triangles = shapes.join(ground, post)
     vertices = (vertices @ turn.T).astype(np.float32)
-    found = horizon.Horizon(clusters.Clusters.of(vertices, triangles, [0]))
+    found = horizon.Horizon(clusters_of(vertices, triangles))
     place = np.float32(turn @ [-2.0, 0, 0.001])
     normal = np.float32(turn[:, 2])
     shares = found.open_shares(place[None, None], normal[None, None])[0, 0]
@@ -201,7 +208,7 @@ def test_corners_in_the_open_are_known_side_by_side():
     vertices, triangles = shapes.box(2.0, 1, inward=False)
     corners = points.distinct_points(shapes.receiver(vertices, triangles))
     other = shapes.grid([9, -1, -1], [0, 2, 0], [0, 0, 2], 1)
-    found = horizon.Horizon(clusters.Clusters.of(np.float32(other[0]), other[1], [0]))
+    found = horizon.Horizon(clusters_of(*other))
     order = np.argsort(corners.origins @ np.float32([1, 2, 4]))[:12].reshape(1, 12)
     shares = found.open_shares(corners.origins[order], corners.normals[order], 4)
     alone = found.open_shares(corners.origins[order[0], None], corners.normals[order[0], None])

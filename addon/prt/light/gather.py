@@ -6,9 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..tracing.confirm import confirmed
+from ..tracing.confirm import CASTS, confirmed
+from ..tracing.gathering import Batch
 from ..tracing.rays import Occlusion
-from ..tracing.transfer import MAP_RAYS, NOTHING_ABOVE, Batch, Counts
+from ..tracing.transfer import MAP_RAYS, NOTHING_ABOVE, Counts
 from .exact import ExactLight
 from .peaks import PeakRays
 
@@ -82,5 +83,5 @@ def _sees(
         visible[traced] = -occlusion.sky_mask(origins, directions[traced])
         again = np.flatnonzero(batch.doubtful[point] & (visible > 0))
         visible[again] = confirmed(occlusion, batch.origins[point[again]], directions[again])
-        counts[MAP_RAYS] += len(origins) + len(again)
+        counts[MAP_RAYS] += len(origins) + CASTS * len(again)
     return visible

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from .flats import Parts
+
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-CLUSTERS = 1024
+CLUSTERS = 128
 CELLS = 22  # along each axis: a cluster lies in one cell
 FLAT = 1e-6  # sin² of the angle between two triangles of one plane
 CHUNK = 1 << 18  # triangles
+PIECES = 4096  # of triangles larger than a cell
 
 
 @dataclass(frozen=True)
@@ -31,23 +34,20 @@ class Clusters:
     parts: Index
 
     @classmethod
-    def of(
-        cls, vertices: npt.ArrayLike, triangles: npt.ArrayLike, part_starts: npt.ArrayLike
-    ) -> "Clusters":
-        """Clusters of ``triangles`` (F, 3) of ``vertices`` (V, 3); part k of them is from
-        ``part_starts[k]`` up to the next."""
-        places, corners = np.asarray(vertices), np.asarray(triangles)
+    def of(cls, parts: Parts) -> "Clusters":
+        """Clusters of the triangles of ``parts``."""
+        places, corners, part_of = _cut(parts)
         keys = _keys(places, corners)
         order = np.argsort(keys, kind="stable")  # a radix sort of 16 bits
-        part_of = np.searchsorted(np.asarray(part_starts), order, side="right") - 1
+        part_of = part_of[order]
         starts = _starts(keys[order], part_of, -(-len(corners) // CLUSTERS))
         cuts = starts[np.searchsorted(starts, np.arange(0, len(corners), CHUNK))]
-        parts = []
+        bounds = []
         for low, high in zip(cuts, [*cuts[1:], len(corners)], strict=True):
             inside = starts[(starts >= low) & (starts < high)] - low
             its_corners = places[corners[order[low:high]]].astype(np.float64)
-            parts.append(_bounds(its_corners, inside))
-        columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+            bounds.append(_bounds(its_corners, inside))
+        columns = (np.concatenate(column) for column in zip(*bounds, strict=True))
         centres, axes, low, high, across, radius = columns
         return cls(centres, axes, low, high, across, radius, part_of[starts])
 
@@ -70,14 +70,51 @@ def highest(corners: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     return np.asarray(np.maximum(np.maximum(corners[:, 0], corners[:, 1]), corners[:, 2]))
 
 
+def _cut(parts: Parts) -> tuple[npt.NDArray[np.floating], npt.NDArray[np.int32], Index]:
+    """Vertices (V', 3), triangles (F', 3) and the part (F',) of each, those that reach across more
+    than a cell cut into four, and these again, as long as that makes no more than PIECES."""
+    vertices, triangles = parts.vertices, parts.triangles
+    part_of = np.repeat(np.arange(len(parts.starts) - 1), np.diff(parts.starts))
+    cell = _extent(vertices) / CELLS
+    large = np.zeros(len(triangles), bool)
+    for start in range(0, len(triangles), CHUNK):
+        its = slice(start, start + CHUNK)
+        large[its] = _reach(vertices[triangles[its]]) > cell
+    corners, its_part = vertices[triangles[large]].astype(np.float64), part_of[large]
+    while True:
+        cut = _reach(corners) > cell
+        if not cut.any() or len(corners) + 3 * cut.sum() > PIECES:
+            break
+        a, b, c = corners[cut].transpose(1, 0, 2)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        quarters = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
+        corners = np.concatenate([corners[~cut], *(np.stack(q, axis=1) for q in quarters)])
+        its_part = np.concatenate([its_part[~cut], *[its_part[cut]] * 4])
+    pieces = len(vertices) + np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
+    return (
+        np.concatenate([vertices, corners.reshape(-1, 3)]) if len(corners) else vertices,
+        np.concatenate([triangles[~large], pieces]),
+        np.concatenate([part_of[~large], its_part]),
+    )
+
+
+def _extent(vertices: npt.NDArray[np.floating]) -> float:
+    """Of the largest side of the box about ``vertices`` (V, 3)."""
+    return max(float(np.ptp(vertices, axis=0).max()), 1e-30)
+
+
+def _reach(corners: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """How far triangles (F, 3, 3) reach along the axis where they do so farthest."""
+    return np.asarray((highest(corners) - lowest(corners)).max(axis=1))
+
+
 def _keys(
     vertices: npt.NDArray[np.floating], triangles: npt.NDArray[np.int32]
 ) -> npt.NDArray[np.uint16]:
     """For each triangle the cell of a grid that its first corner lies in, the side that it faces,
     and whether the one after or before it faces just there too, so that what stands on a floor is
     not gathered with it."""
-    low = vertices.min(axis=0)
-    extent = max(float((vertices.max(axis=0) - low).max()), 1e-30)
+    low, extent = vertices.min(axis=0), _extent(vertices)
     keys = np.empty(len(triangles), np.uint16)
     for start in range(0, len(triangles), CHUNK):
         corners = vertices[triangles[start : start + CHUNK]]

@@ -6,6 +6,7 @@ where it is not.  Only what lies in a plane across an axis is taken, to the last
 triangle's plane is as exact as a small one's.
 """
 
+from dataclasses import dataclass
 from math import pi
 
 import numpy as np
@@ -26,29 +27,50 @@ AREA = 1e-3  # of the polygon's: the areas add up to it but for this
 CROSSING = 2  # vertices of other things at a side, where these cross it: more may lie along it
 
 
-def fewer(
-    vertices: Vertices, triangles: Triangles, part_starts: npt.ArrayLike
-) -> tuple[Vertices, Triangles]:
-    """Vertices (V', 3) and triangles (F', 3) that cover the same as ``triangles`` (F, 3) of
-    ``vertices`` (V, 3); part k of them is from ``part_starts[k]`` up to the next.
+@dataclass(frozen=True)
+class Parts:
+    """``triangles`` (F, 3) of ``vertices`` (V, 3) of several things: those of part k are from
+    ``starts[k]`` up to the next, (O + 1,)."""
+
+    vertices: Vertices
+    triangles: Triangles
+    starts: Index
+
+    @classmethod
+    def of(
+        cls, vertices: npt.ArrayLike, triangles: npt.ArrayLike, starts: npt.ArrayLike
+    ) -> "Parts":
+        """From arrays of any type."""
+        faces = np.asarray(triangles, np.int32)
+        return cls(np.asarray(vertices, np.float32), faces, np.asarray(starts, np.int64))
+
+
+def fewer(parts: Parts) -> Parts:
+    """As many parts that cover the same.
 
     A part's flat grid is replaced where it covers a convex polygon once, all of it facing one way,
     and nothing else joins on to its sides, which would leave a slit between their edges.
     """
-    kept, flats = np.ones(len(triangles), bool), list[Index]()
+    vertices, triangles = parts.vertices, parts.triangles
+    kept, flats, its_part = np.ones(len(triangles), bool), list[Index](), list[Index]()
     uses = np.bincount(triangles.reshape(-1), minlength=len(vertices))
     for axis in range(3):
-        for rows in _planes(vertices[:, axis], triangles, np.asarray(part_starts)):
+        for rows in _planes(vertices[:, axis], triangles, parts.starts):
             corners = _replaced(vertices, triangles[rows], axis, uses)
             if len(corners):
                 kept[rows] = False
                 flats.append(_fan(corners))
+                part = np.searchsorted(parts.starts, rows[0], side="right") - 1
+                its_part.append(np.full(len(flats[-1]), part))
     if not flats:
-        return vertices, triangles
-    found = np.concatenate([triangles[kept], *flats])
+        return parts
+    part_of = np.concatenate(its_part)
+    starts = np.insert(np.cumsum(kept), 0, 0)[parts.starts]
+    found = np.insert(triangles[kept], starts[part_of + 1], np.concatenate(flats), axis=0)
+    starts[1:] += np.cumsum(np.bincount(part_of, minlength=len(starts) - 1))
     used = np.zeros(len(vertices), bool)
     used[found] = True
-    return vertices[used], (np.cumsum(used) - 1)[found].astype(np.int32)
+    return Parts(vertices[used], (np.cumsum(used) - 1)[found].astype(np.int32), starts)
 
 
 def _planes(heights: Vertices, triangles: Triangles, part_starts: Index) -> list[Index]:

@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float32]
 Index = npt.NDArray[np.int64]
 Turns = npt.NDArray[np.uint32]
 
-PIECE = 256  # groups
+PIECE = 1024  # groups
 PARTS = 4  # of a group, each with a horizon of its own
 STEPS = 32  # of the rays that all points of a batch can save
 PAYS = 0.2  # of a batch's rays: so many have to be saved one by one

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from ..errors import BakeError
 from ..parallel import workers
-from . import flats
 
 Vectors = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.int32]
@@ -214,14 +213,10 @@ def occlusion(
     triangles: npt.ArrayLike,
     expected_rays: float = 0,
     threads: int = 0,
-    part_starts: npt.ArrayLike = (),
 ) -> Geometry:
     """Embree over ``vertices`` (V, 3) and ``triangles`` (F, 3), in the mode that pays for so many
-    rays; the open sky where F is 0.  ``part_starts``, as ``flats.fewer`` reads them, where it does
-    not matter which triangle is met: flat grids are then a few large ones."""
+    rays; the open sky where F is 0."""
     corners, faces = np.asarray(vertices, np.float32), np.asarray(triangles, np.int32)
     if not len(faces):
         return Sky()
-    if np.size(part_starts):
-        corners, faces = flats.fewer(corners, faces, part_starts)
     return Triangles(corners, faces, expected_rays > FAST_PAYS * len(faces), threads)

@@ -1,14 +1,15 @@
 """What stands about a receiver: what can shadow it, and whether a look at the horizon pays."""
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from ..job import Receiver
 from ..surface.convex import is_convex
 from ..surface.points import Points
 from .clusters import Clusters, Float, Index, highest, lowest
+from .flats import Parts
 from .hemisphere import GROUP
 from .horizon import Horizon
 
@@ -16,22 +17,21 @@ WORTH = 0.05  # of the rays have to be saved by a sample of the blocks
 SAMPLE, BLOCK = 64, 64  # blocks, and their points
 LOOKED_AT = 2  # every second one of them, as its horizon is dear among many occluders
 FLAT = 1e-4
-LOOK_RAYS, CLUSTER_RAYS = 48, 12  # to the sky, that take as long as a place or triangle takes
+LOOK_RAYS, CLUSTER_RAYS = 32, 12  # to the sky, that take as long as a place or triangle takes
 REACH_BLOCKS = 256
 
 
 class Surroundings:
-    """All occluders: vertices (V, 3), triangles (F, 3), and where each of them starts, (O + 1,)."""
+    """All ``occluders``, and what gives the ``fewer`` triangles that cover the same."""
 
-    def __init__(
-        self, vertices: npt.ArrayLike, triangles: npt.ArrayLike, part_starts: npt.ArrayLike
-    ) -> None:
-        self._vertices, self._triangles = np.asarray(vertices), np.asarray(triangles)
-        self._starts = np.asarray(part_starts)
+    def __init__(self, occluders: Parts, fewer: Callable[[], Parts]) -> None:
+        self._vertices, self._triangles = occluders.vertices, occluders.triangles
+        self._starts = occluders.starts
+        self._fewer = fewer
 
     @cached_property
     def _clusters(self) -> Clusters:
-        return Clusters.of(self._vertices, self._triangles, self._starts)
+        return Clusters.of(self._fewer())
 
     @cached_property
     def _boxes(self) -> Float:
@@ -53,8 +53,9 @@ class Surroundings:
         if not len(self._triangles) or not self._pays(places, rays):
             return None
         rows = _sample(points)
-        convex = is_convex(receiver)
-        if not convex and _flat_share(points, rows) < WORTH:
+        flat = _flat_share(points, rows)
+        convex = flat < 1 and is_convex(receiver)  # what is flat does not rise above itself
+        if not convex and flat < WORTH:
             return None
         clusters = self._clusters
         if convex:
@@ -66,7 +67,7 @@ class Surroundings:
 
     def _pays(self, places: int, saved: float) -> bool:
         """Whether so many rays ``saved`` a place take longer than finding them."""
-        clusters = 0 if "_clusters" in vars(self) else CLUSTER_RAYS * len(self._triangles)
+        clusters = 0 if "_clusters" in vars(self) else CLUSTER_RAYS * len(self._fewer().triangles)
         return places * (saved - LOOK_RAYS) > clusters
 
     def reachable(self, points: Points) -> Index:

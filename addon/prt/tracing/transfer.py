@@ -10,7 +10,6 @@ from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,8 @@ import numpy.typing as npt
 from ..job import Settings
 from ..parallel import workers
 from ..surface.points import Points
-from .confirm import confirmed, doubtful
+from .confirm import CASTS, confirmed, doubtful
+from .gathering import Batch, Gather
 from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
 from .horizon import Horizon
 from .looking import Look, Shown, Split
@@ -40,37 +40,6 @@ MAP_RAYS = "cast towards the map's light"
 NOTHING_ABOVE = "nothing stands above the horizon"
 SEES_NOTHING = "the first rays were all blocked"
 KNOWN = "known from another bake"
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Rays of P points, as a ``Gather`` reads them: the points' ``numbers`` (P,), ``origins`` and
-    ``normals`` (P, 3), the world ``directions`` (P, N, 3) of their rays, whose cosines to the
-    normal are the same for all, (N,), and which reach the sky, ``visible`` (P, N), 1 or 0.
-    Directions with a cosine above ``open_above`` reach the sky, traced or not.  A clear ray of the
-    points ``doubtful`` (P,) is to be confirmed."""
-
-    numbers: Index
-    origins: Array
-    normals: Array
-    directions: Array
-    cosines: Array
-    visible: Array
-    open_above: float
-    doubtful: npt.NDArray[np.bool_]
-
-
-class Gather(Protocol):
-    """Something else to be found out about every point, from its rays and from more of them."""
-
-    @property
-    def columns(self) -> int:
-        """How many numbers it finds."""
-        ...
-
-    def __call__(self, batch: Batch, occlusion: Occlusion) -> tuple[Array, Counts]:
-        """Its values (P, columns) and the rays that they took."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -138,6 +107,8 @@ class Tracer:
         self._cosines = np.ascontiguousarray(hemisphere.directions[:, 2])
         self._in_world = RaysInWorld(hemisphere.directions)
         self._weights = hemisphere.weights
+        sums = np.cumsum(np.insert(hemisphere.weights, 0, 0, axis=0), axis=0, dtype=np.float64)
+        self._sums_of_first = sums.astype(np.float32)
         self._turn = Turn(settings.order)
         self._seen_sh = VisibilitySet(settings.rays, visibility_order) if visibility_order else None
         self._shortcuts, self._gather = shortcuts, gather
@@ -148,6 +119,8 @@ class Tracer:
         self._split = cache(partial(Split, chosen, self._local))
         self._chosen_in_world = RaysInWorld(hemisphere.directions[chosen])
         self._others_in_world = RaysInWorld(hemisphere.directions[~chosen])
+        wants_each = (gather, shortcuts.bits, shortcuts.look, self._seen_sh)  # ray of a point
+        self._sums_only = all(want is None for want in wants_each)
         self._buffers = threading.local()
 
     def parts(self) -> Iterator[Alike]:
@@ -158,10 +131,17 @@ class Tracer:
             groups = alike.groups
             while len(groups):
                 rays = int(np.clip(left * self.rays // PARTS, *PART_RAYS))
-                size = max(4, min(128, rays // (GROUP * self.rays)) // 4 * 4)
+                size = max(4, min(1024, rays // (GROUP * self._traced(alike))) // 4 * 4)
                 yield replace(alike, groups=groups[:size])
                 groups = groups[size:]
                 left -= GROUP * size
+
+    def _traced(self, alike: Alike) -> int:
+        """About how many rays of each of these points are traced, so that parts and batches take
+        about as long each."""
+        left = self.rays - alike.first
+        fewest = self.rays // (64 if self._sums_only else 16)
+        return max(1, left // 4 if alike.pays else left, fewest)
 
     def trace(self, part: Alike, out: Array) -> Counts:
         """Transfer, what is gathered, and visibility of the points of ``part`` into ``out``; the
@@ -174,8 +154,7 @@ class Tracer:
         columns = transfer + (self._seen_sh.columns if self._seen_sh else 0)
         sums = np.empty((groups * GROUP, columns), np.float32)
         counts: Counts = Counter()
-        size = max(1, BATCH_RAYS // (GROUP * max(1, self.rays - part.first)))
-        size = GROUP * min(size, 16 * max(1, BATCH_RAYS // (GROUP * self.rays)))
+        size = GROUP * max(1, BATCH_RAYS // (GROUP * self._traced(part)))
         for start in range(0, len(numbers), size):
             few = slice(start, start + size)
             batch = _Few(numbers[few], origins[few], matrices[few], part)
@@ -189,17 +168,23 @@ class Tracer:
     def _trace_batch(self, batch: _Few, sums: Array, out: Array) -> Counts:
         """Local coefficients of whole groups into ``sums``, of their transfer and of their
         visibility; what is gathered into ``out``."""
-        visible, count = self._array("visible", (len(sums), self.rays)), len(batch.numbers)
+        first = batch.open.first if self._sums_only else 0  # their sums are known
+        count, left = len(batch.numbers), self.rays - first
+        visible, columns = self._array("visible", (len(sums), left)), self._weights.shape[1]
         visible[count:] = 0
-        counts = self._see(batch, visible[:count])
-        products = visible.reshape(-1, GROUP, self.rays) @ self._weights
-        first = self._weights.shape[1]
-        sums[:, :first] = products.reshape(len(sums), first)
+        if first:
+            cast = self._see_others(batch, visible[:count])
+            counts = Counter({CAST: cast, NOTHING_ABOVE: count * self.rays - cast})
+        else:
+            counts = self._see(batch, visible[:count])
+        products = visible.reshape(len(sums) // GROUP, GROUP, left) @ self._weights[first:]
+        sums[:, :columns] = products.reshape(len(sums), columns)
+        sums[:, :columns] += self._sums_of_first[first]
         if self._seen_sh is not None:
-            sums[:, first:] = self._seen_sh.sums(visible)
+            sums[:, columns:] = self._seen_sh.sums(visible)
         if self._gather is not None:
             values, more = self._gather(self._seen(batch, visible[:count]), self._occlusion)
-            out[batch.numbers, first : first + values.shape[1]] = values
+            out[batch.numbers, columns : columns + values.shape[1]] = values
             counts += more
         return counts
 
@@ -261,14 +246,15 @@ class Tracer:
             visible[:] = self._sky(self._in_world, batch.origins, batch.matrices, first)
             return visible.size
         azimuth = self._azimuth_turns[batch.numbers]
-        is_open = self.open_rays.mask(batch.numbers, self._direction_turns, azimuth, first)
-        visible[:] = is_open
-        rest = np.flatnonzero(~is_open)
-        point = rest // is_open.shape[1]
-        directions = self._array("directions", (is_open.size, 3))
+        closed = ~self.open_rays.mask(batch.numbers, self._direction_turns, azimuth, first)
+        rest = np.flatnonzero(closed)
+        point = np.repeat(np.arange(len(closed)), np.count_nonzero(closed, axis=1))
+        directions = self._array("directions", (closed.size, 3))
         self._in_world.directions(batch.matrices, directions, first)
         mask = self._occlusion.sky_mask(batch.origins.take(point, 0), directions.take(rest, 0))
-        visible[np.unravel_index(rest, visible.shape)] = -mask
+        found = np.ones(closed.size, np.float32)
+        found[rest] = -mask
+        visible[:] = found.reshape(closed.shape)
         return len(rest)
 
     def _see_first(self, batch: _Few, visible: Array) -> Counts:
@@ -296,7 +282,7 @@ class Tracer:
         matrices = batch.matrices[row]
         directions = matrices[:, :, 0] * x + matrices[:, :, 1] * y + matrices[:, :, 2] * z
         visible[row, ray] = confirmed(self._occlusion, batch.origins[row], directions)
-        return len(row)
+        return CASTS * len(row)
 
     def _look(self, look: Look, batch: _Few, visible: Array) -> None:
         """Those after the first that need no tracing, ``visible`` (P, N - first), of which some are

@@ -100,7 +100,8 @@ class Tracer(Caster):
         none = np.zeros(0, np.int64)
         nothing = np.zeros((0, 3), np.float32)
         start = Traced(nothing, nothing, nothing, none, joined([]), none, np.zeros(0))
-        return reduce(Traced.and_, self._found) if self._found else start
+        self._found = [reduce(Traced.and_, self._found)] if self._found else []
+        return self._found[0] if self._found else start
 
     def follow(self, point: Index, inside: Places, rays: int) -> Generator[int, None, None]:
         """Trace the points ``point`` and the places ``inside`` with ``rays`` each."""

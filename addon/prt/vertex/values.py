@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from .. import sh
 from ..job import Settings
-from ..surface.points import Float, Points
+from ..surface.points import Float, Index, Points
 from .fit import WEIGHTS, Fit, Samples, best_weights
 from .fit_mesh import interpolated
 from .parts import Parts, buried_points
@@ -166,9 +166,10 @@ class Values:
 
     def report(self, traced: Traced, unseen: Mask, values: Array) -> dict[str, Any]:
         """What the report says of ``values`` and of their errors, relative to the transfer."""
-        inside = traced[traced.point < 0]
-        seen = ~unseen[traced.point < 0]
-        points = self._point_errors(inside[seen], values, self._noisier(traced[traced.point >= 0]))
+        is_inside = traced.point < 0
+        inside, seen = traced[is_inside], ~unseen[is_inside]
+        noisier = self._noisier(traced.point[~is_inside], traced.noisier[~is_inside])
+        points = self._point_errors(inside[seen], values, noisier)
         of, count = part_of(self._parts, inside), self._parts.count
         looked = np.maximum(np.bincount(of, minlength=count), 1)
         areas = self._parts.areas() * np.bincount(of[seen], minlength=count) / looked
@@ -190,10 +191,11 @@ class Values:
             "surface_error": surface**0.5,
         }
 
-    def _noisier(self, points: Traced) -> Float:
-        """The mean square (count,) of how many times noisier each part's ``points`` are."""
-        of, count = part_of(self._parts, points), self._parts.count
-        found = np.bincount(of, points.noisier**2, count)
+    def _noisier(self, points: Index, noisier: Float) -> Float:
+        """The mean square (count,) of how many times ``noisier`` (M,) each part's ``points`` (M,)
+        are."""
+        of, count = self._parts.of_points[points], self._parts.count
+        found = np.bincount(of, noisier**2, count)
         return np.asarray(found / np.maximum(np.bincount(of, minlength=count), 1))
 
     def _point_errors(self, inside: Traced, values: Array, noisier: Float) -> Errors:
