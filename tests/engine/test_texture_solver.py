@@ -14,7 +14,7 @@ from prt_baker.addon.prt.texture import cover, refine, solver
 from prt_baker.addon.prt.texture.edges import edges_of
 from prt_baker.addon.prt.texture.places import Mesh, pilot_points
 from prt_baker.addon.prt.texture.sampling import bilinear
-from prt_baker.addon.prt.texture.stitch import Samples, Wanted, stitch
+from prt_baker.addon.prt.texture.stitch import Samples, Wanted, sharpen, stitch
 from prt_baker.addon.prt.tracing import rays, transfer
 from prt_baker.addon.prt.tracing.buried import OPEN, buried
 from prt_baker.addon.prt.vertex import traced
@@ -286,6 +286,40 @@ def test_no_dark_line_around_what_stands_on_a_floor():
     assert np.quantile(errors, 0.99) < 0.06
     assert errors.max() < 0.2
     assert len(found.index) < len(scene.index)  # the dark below the crate is left to push-pull
+
+
+def test_a_slit_in_which_no_texel_has_its_centre_is_seen():
+    """Between two thin slabs on a floor, three tenths of a texel wide, amid buried texels."""
+    size = 16
+    left, right = ((column + 0.5) / size / 0.45 - 0.05 / 0.45 - 1 for column in (7.35, 7.65))
+    floor = shapes.grid([-1, -1, 0], [2, 0, 0], [0, 2, 0], 1)
+    slabs = [
+        rooms.block((low, -1.5, -0.01), (high, 1.5, 0.004))
+        for low, high in ((-1.5, left), (right, 1.5))
+    ]
+    receiver = shapes.receiver(*floor)
+    uvs = (0.05 + 0.45 * (receiver.vertices[receiver.corner_vertices][:, :2] + 1)).astype("f4")
+    scene = Bench(receiver, uvs, *shapes.join(floor, *slabs), size)
+    found = scene.solve(256, 0.01)
+    scene.known = scene.truth(4000)
+    errors = scene.errors(scene.image(found.index, found.values))
+    assert len(errors) > 20
+    assert rms(errors) < 0.2
+
+
+def test_texels_follow_what_is_found_within_them_where_that_is_no_noise():
+    at = np.arange(64, dtype=np.int32).reshape(8, 8)
+    places = np.random.default_rng(0).uniform(1, 6, (400, 2))
+
+    def share_found(missed, noise):
+        values = np.zeros((64, 1), np.float32)
+        within = Wanted.at(places, np.full((400, 1), missed, np.float32), 1.0, at)
+        for _ in sharpen(values, within, 1, lambda differences: abs(differences[:, 0]), noise):
+            pass
+        return within.samples.read(values).mean() / missed
+
+    assert share_found(1.0, 0.05) > 0.98
+    assert share_found(0.05, 0.05) < 0.2
 
 
 def test_no_light_leaks_under_a_partition():

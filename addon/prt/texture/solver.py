@@ -17,12 +17,14 @@ from .cover import cover
 from .edges import edges_of
 from .fill import AROUND, grow
 from .places import Array, Mesh
-from .refine import BETWEEN, BURIED, SHARES, TRACED, Grid, Refinement
+from .refine import BETWEEN, BURIED, PIECE, SHARES, TRACED, Grid, Refinement
 from .sampling import footprint
-from .stitch import FOUND, WITHIN, Samples, Wanted, in_atlas, outside, sharpen, stitch
-from .tracer import CENTRE, NOWHERE, Tracer
+from .stitch import FOUND, Samples, Wanted, in_atlas, outside, sharpen, stitch
+from .tracer import ASKEW, CENTRE, NOWHERE, Tracer
 
 LEAST = 1e-3  # relative error that is always let pass: nobody sees it, and noise is above it
+UNEVEN = 24.0  # times the tolerance: a texel that differs by more is looked at within
+NOISIER = (len(ASKEW) / SHARES[1]) ** FALL  # than a texel with all rays: a place within one
 RINGS = 2  # of buried texels about those that are not: what a read beside them touches
 PROBES = (64, 1024)  # the fewest and the most places that tell the error over the surface
 PROBE_SHARE = 1 / 64  # of the texels traced
@@ -72,22 +74,24 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     yield from work.start()
     first = work.values[work.state == TRACED]
     scale = Scale.of(first, settings.order**2, light, settings.visibility_order**2, bounced)
-    yield from work.go_on(scale, max(settings.tolerance or noise, LEAST))
+    tolerance = max(settings.tolerance or noise, LEAST)
+    yield from work.go_on(scale, tolerance)
     yield from _push_out(work, grid, tracer, edges.region)
+    charts = Grid.of(size, index, edges.chart[triangles])
+    yield from _look_within(work, charts, tracer, scale, UNEVEN * tolerance)
     known = work.state != BURIED
-    grow(Grid.of(size, index, edges.chart[triangles]), work.values, known, RINGS)
+    grow(charts, work.values, known, RINGS)
     values, counts = work.values[known], np.bincount(work.state, minlength=4)
     at = Grid.of(size, index[known], grid.region[known]).at
     inside, its = tracer.inside
-    within = Wanted.at(in_atlas(mesh.layout, inside), its, WITHIN, at)
-    for _ in sharpen(values, within, settings.order**2):
-        yield tracer.cast
+    within = Wanted.at(in_atlas(mesh.layout, inside), its, 1.0, at)
+    sharpened = sharpen(values, within, settings.order**2, scale, noise * NOISIER)
+    yield from _counted(tracer, sharpened)
     seams = Samples.across(edges.seams, size, at)
     before = seams.read(values)
     own = np.flatnonzero(work.state[known] != BURIED)
     border, away = yield from _border(tracer, values, at, np.flatnonzero(known), own)
-    for _ in stitch(values, seams, border, within.samples, away):
-        yield tracer.cast
+    yield from _counted(tracer, stitch(values, seams, border, within.samples, away))
     values[:, 0] = np.maximum(values[:, 0], 0)
     entry = {
         "texels": len(values),
@@ -99,6 +103,12 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     }
     errors = yield from _errors(tracer, values, at, settings, noise)
     return Texels(index[known], values, {"rays": tracer.cast, **entry, **errors}, tracer.traced)
+
+
+def _counted(tracer: Tracer, steps: Generator[None, None, None]) -> Generator[int, None, None]:
+    """``steps`` that cast none; yields the rays cast so far."""
+    for _ in steps:
+        yield tracer.cast
 
 
 @dataclass(frozen=True)
@@ -162,6 +172,28 @@ def _push_out(
     values, hidden = yield from tracer.follow(places, SHARES[1])
     work.values[out[~hidden]] = values[~hidden]
     work.state[out[~hidden]] = TRACED
+
+
+def _look_within(
+    work: Refinement, charts: Grid, tracer: Tracer, scale: Scale, most: float
+) -> Generator[int, None, None]:
+    """Trace several places within texels that differ by more than ``most`` from one of those about
+    them on their chart, and where buried ones are seen after all: there that is their value."""
+    buried = work.state == BURIED
+    wanted = buried.copy()
+    for first in range(0, len(buried), PIECE):
+        rows = np.arange(first, min(first + PIECE, len(buried)))
+        for step in AROUND:
+            near = charts.neighbours(rows, [step])[:, 0]
+            both = (near >= 0) & ~buried[near] & ~buried[rows]
+            wanted[rows] |= both & (scale(work.values[rows] - work.values[near]) > most)
+        yield tracer.cast
+    of, found = yield from tracer.look_within(np.flatnonzero(wanted), buried, SHARES[1])
+    of, found = of[buried[of]], found[buried[of]]
+    rows, which, counts = np.unique(of, return_inverse=True, return_counts=True)
+    work.values[rows] = 0
+    np.add.at(work.values, of, found / counts[which.reshape(-1), None].astype(np.float32))
+    work.state[rows] = TRACED
 
 
 def _border(

@@ -21,13 +21,14 @@ import numpy.typing as npt
 from ..parallel import in_thread
 from ..surface.samples import Places
 from .cover import Float, Index, Layout, Mask
+from .refine import Size
 from .sampling import footprint
 
 Array = npt.NDArray[np.float32]
 
 BEYOND = 0.15  # texels: a centre that is further outside was traced at the border
 FOUND = 1.0  # weight of a read at the border that misses what was found
-WITHIN = 0.5  # weight of a read within a texel that does
+SURE = 0.01  # weight of a change of a texel where reads by far miss what was found
 AS_READ = 1.0  # weight of such a read that a seam moves from what it had come to
 LEAST_KEPT = 0.02  # weight of a change of a texel that hardly any place reads; of others 1
 LEAST_SHARE = 1e-6  # of a read: a texel that has less takes no part in it
@@ -214,10 +215,14 @@ def in_atlas(layout: Layout, places: Places) -> Float:
     return found
 
 
-def sharpen(values: Array, within: Wanted, smooth: int) -> Generator[None, None, None]:
+def sharpen(
+    values: Array, within: Wanted, smooth: int, size: Size, noise: float
+) -> Generator[None, None, None]:
     """Change ``values`` (T, K) in place so that reads ``within`` texels come nearer to what they
-    are to find.  Beyond the first ``smooth`` columns no texel leaves the range of these and of what
-    it was: the edge of a sun's shadow would have a bright line along it.  Yields now and then."""
+    are to find, the nearer, the more they miss what was found beyond its ``noise``, relative as
+    ``size`` says.  Beyond the first ``smooth`` columns no texel leaves the range of these and of
+    what it was: the edge of a sun's shadow would have a bright line along it.  Yields now and then.
+    """
     if not len(within.values):
         return
     sharp, its = values[:, smooth:], within.values[:, smooth:]
@@ -228,10 +233,24 @@ def sharpen(values: Array, within: Wanted, smooth: int) -> Generator[None, None,
             np.minimum.at(low[:, k], rows[read], its[read, k])
             np.maximum.at(high[:, k], rows[read], its[read, k])
         yield
-    kept = np.ones(len(values), np.float32)
+    kept = _kept(size(within.samples.read(values) - within.values), within.samples, noise, len(low))
     system = yield from in_thread(lambda: Stitch([within], kept))
     yield from system.solve(values)
     np.clip(sharp, low, high, out=sharp)
+
+
+def _kept(missed: Array, samples: Samples, noise: float, count: int) -> Array:
+    """The weight of a change of each of ``count`` texels, where a read that misses weighs 1: the
+    variance of what was found over that of what texels are to change by, which is what ``samples``
+    (S,) have ``missed`` (S,) without their ``noise``."""
+    squares, weights = np.zeros(count), np.zeros(count)
+    for rows, shares in zip(samples.rows.T, samples.weights.T, strict=True):
+        read = shares > 0
+        squares += np.bincount(rows[read], np.square(shares * missed)[read], count)
+        weights += np.bincount(rows[read], np.square(shares)[read], count)
+    changed = squares / np.maximum(weights, 1e-30) - noise**2
+    kept = noise**2 / np.maximum(changed, 1e-30)
+    return np.asarray(np.clip(kept, SURE, 1 / SURE), np.float32)
 
 
 def stitch(

@@ -14,6 +14,7 @@ from ..vertex.parts import joined
 from ..vertex.traced import FALL, Caster, Trace, Traced
 from .cover import Mask
 from .places import Array, Mesh
+from .stitch import BEYOND, in_atlas
 
 FEWEST = 16  # rays of a place
 PIECE = 1 << 16  # places that are found together
@@ -23,6 +24,7 @@ NONE = np.zeros(0, np.int64)
 NOWHERE = Places(NONE, np.zeros((0, 3)))
 CENTRE = np.zeros(2)
 QUARTERS = 0.25 * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])  # of a texel
+ASKEW = 0.125 * np.array([[-1, -3], [3, -1], [-3, 1], [1, 3]])  # of which none share a row
 AWAY = 0.5 * np.array([[-1, 0], [1, 0], [0, -1], [0, 1], [-1, -1], [1, -1], [-1, 1], [1, 1]])
 
 
@@ -149,6 +151,29 @@ class Tracer(Caster):
         is_hidden[~sharp] = hidden
         is_hidden[sharp] = unseen.reshape(len(QUARTERS), -1).all(axis=0)
         return both, is_hidden
+
+    def look_within(
+        self, rows: Index, hidden: Mask, share: float
+    ) -> Generator[int, None, tuple[Index, Array]]:
+        """What is found (M, K) where the texels (M,) of ``rows`` are seen at each of ASKEW, on
+        whichever triangle lies there, with a part of ``share`` of the rays; kept ``inside``, too.
+        The centres of ``hidden`` texels (T,) are buried.  Yields the rays cast so far."""
+        of, at = [NONE], [NOWHERE]
+        for offset in ASKEW:
+            found, there = yield from self.mesh.at(self._index[rows], offset)
+            row, column = np.divmod(self._index[rows[found]], self.mesh.layout.size)
+            away = in_atlas(self.mesh.layout, there) - np.stack([column, row], axis=1) - offset
+            near = np.hypot(*away.T) < BEYOND
+            of.append(rows[found][near])
+            at.append(there[near])
+        texels, places = np.concatenate(of), joined(at)
+        seen = ~hidden[texels]
+        seen[~seen] = ~(yield from self.glance(places[~seen]))
+        texels, places = texels[seen], places[seen]
+        values, unseen = yield from self.follow(places, share / len(ASKEW))
+        texels, places, values = texels[~unseen], places[~unseen], values[~unseen]
+        self._inside.append((places, values))
+        return texels, values
 
     def are_buried(self, rows: Index) -> Generator[int, None, Mask]:
         """Which of the texels ``rows`` (M,) are buried.  Yields the rays cast so far."""
