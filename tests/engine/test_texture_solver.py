@@ -14,7 +14,6 @@ from prt_baker.addon.prt.texture import cover, refine, solver
 from prt_baker.addon.prt.texture.edges import edges_of
 from prt_baker.addon.prt.texture.places import Mesh, pilot_points
 from prt_baker.addon.prt.texture.sampling import bilinear
-from prt_baker.addon.prt.texture.stitch import Samples, Wanted, sharpen, stitch
 from prt_baker.addon.prt.tracing import rays, transfer
 from prt_baker.addon.prt.tracing.buried import OPEN, buried
 from prt_baker.addon.prt.vertex import traced
@@ -165,59 +164,6 @@ def test_a_stitch_does_not_raise_the_error(name, monkeypatch):
     assert 0 < changed.mean() < 0.4
 
 
-def seam_and_flat_atlas():
-    at = np.arange(64, dtype=np.int32).reshape(8, 8)
-    seams = np.array([[[[3.2, 1], [3.2, 6]], [[1, 4.4], [6, 4.4]]]])  # upright and flat
-    return Samples.across(seams, 8, at)
-
-
-NOTHING = Samples(np.zeros((0, 4), np.int64), np.zeros((0, 4), np.float32))
-NO_BORDER = Wanted(NOTHING, np.zeros((0, 1), np.float32), 1.0)
-
-
-def test_a_stitch_changes_only_what_jumps():
-    samples = seam_and_flat_atlas()
-    assert len(samples.rows) == 11
-    same = np.full((64, 2), 3, np.float32)
-    value_of(stitch(same, samples, NO_BORDER, NOTHING, np.zeros(64)))
-    np.testing.assert_allclose(same, 3, rtol=1e-6)
-    row, column = np.mgrid[:8, :8]
-    apart = np.where(row >= 4, column, row).astype(np.float32).reshape(64, 1)
-    before = apart.copy()
-    value_of(stitch(apart, samples, NO_BORDER, NOTHING, np.zeros(64)))
-    assert np.abs(samples.read(apart)).max() < 0.2 * np.abs(samples.read(before)).max()
-    read = np.isin(np.arange(64), samples.rows[np.abs(samples.weights) > 0])
-    np.testing.assert_array_equal(apart[~read], before[~read])
-
-
-def test_texels_outside_give_way_to_those_inside():
-    samples = seam_and_flat_atlas()
-    row, column = np.mgrid[:8, :8]
-    outside = np.where((row == 5) | (column == 4), 0.8, 0).reshape(64)
-    apart = np.where(row >= 4, column, row).astype(np.float32).reshape(64, 1)
-    before = apart.copy()
-    value_of(stitch(apart, samples, NO_BORDER, NOTHING, outside))
-    change = np.abs(apart - before)[:, 0]
-    assert change[outside > 0].max() > 4 * change[outside == 0].max()
-
-
-def test_a_stitch_holds_what_was_fitted_within_texels():
-    samples = seam_and_flat_atlas()
-    at = np.arange(64, dtype=np.int32).reshape(8, 8)
-    places = np.random.default_rng(0).uniform((2.5, 1), (3.5, 6), (40, 2))  # about a side of it
-    within = Samples.at(places, 8, at)
-    row, column = np.mgrid[:8, :8]
-    before = np.where(row >= 4, column, row).astype(np.float32).reshape(64, 1)
-    jump = np.abs(samples.read(before)).max()
-    moved = []
-    for held in (NOTHING, within):
-        values = before.copy()
-        value_of(stitch(values, samples, NO_BORDER, held, np.zeros(64)))
-        assert np.abs(samples.read(values)).max() < 0.3 * jump
-        moved.append(rms(within.read(values) - within.read(before)))
-    assert moved[1] < 0.7 * moved[0]
-
-
 def folded_sheet(width):
     """A sheet with a fold to and fro, ``width`` wide and smooth in its shading, and how far along
     itself (17,) its rows of vertices lie; the fold is between 0.45 and 0.45 + 3 ``width``."""
@@ -305,21 +251,6 @@ def test_a_slit_in_which_no_texel_has_its_centre_is_seen():
     errors = scene.errors(scene.image(found.index, found.values))
     assert len(errors) > 20
     assert rms(errors) < 0.2
-
-
-def test_texels_follow_what_is_found_within_them_where_that_is_no_noise():
-    at = np.arange(64, dtype=np.int32).reshape(8, 8)
-    places = np.random.default_rng(0).uniform(1, 6, (400, 2))
-
-    def share_found(missed, noise):
-        values = np.zeros((64, 1), np.float32)
-        within = Wanted.at(places, np.full((400, 1), missed, np.float32), 1.0, at)
-        for _ in sharpen(values, within, 1, lambda differences: abs(differences[:, 0]), noise):
-            pass
-        return within.samples.read(values).mean() / missed
-
-    assert share_found(1.0, 0.05) > 0.98
-    assert share_found(0.05, 0.05) < 0.2
 
 
 def test_no_light_leaks_under_a_partition():
