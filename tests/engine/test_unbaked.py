@@ -73,3 +73,37 @@ def test_triangles_of_a_receiver_are_found_in_any_order():
         found = entries.points[first[:, None] + np.arange(3)]
         np.testing.assert_array_equal(found if its is not order else np.roll(found, -1, 1), rows)
         assert (entries.levels > 0).sum() == len(floor[1])
+
+
+def test_a_cell_that_shows_beside_what_hides_its_patch_is_lit():
+    """A cupboard stands before a wall, whose cells end a little beside it."""
+    floor = shapes.grid([-3, -3, -1], [6, 0, 0], [0, 6, 0], 4)
+    wall = shapes.grid([-1, 1, -1], [2, 0, 0], [0, 0, 2], 1)
+    cupboard = shapes.box(1.0, 1, inward=False)
+    cupboard = cupboard[0] * [1.0, 0.4, 1.8] + [-0.47, 0.8, 0], cupboard[1]
+    vertices, triangles = shapes.join(floor, wall, cupboard)
+    job = job_of((shapes.receiver(*floor),), vertices, triangles, 0.8)
+    entries = Entries.of(job, [distinct_points(job.receivers[0])])
+    occlusion = rays.occlusion(job.occluder_vertices, job.occluder_triangles)
+    work = Unbaked(entries, job.occluder_vertices, job.occluder_triangles, occlusion, 25)
+    of_wall = np.arange(entries.first[len(floor[1])], entries.first[len(floor[1]) + 2])
+    places = []
+
+    def trace(its, _rays, _look):
+        places.append(its)
+        return (yield from traced(1.0)(its, _rays, _look))
+
+    for _ in work.add(of_wall, trace, 64, last=False):
+        pass
+    its, barycentric = entries.places(of_wall)
+    triangles = job.occluder_vertices[job.occluder_triangles[its]]
+    corners = np.stack([entries.places(of_wall, k)[1] for k in range(3)])
+    at = np.einsum("kec,ecx->kex", corners, triangles)
+    shows = (np.abs(at[..., 0] + 0.47) > 0.5) | (np.abs(at[..., 2]) > 0.9)
+    middle = np.einsum(
+        "ec,ecx->ex", barycentric, job.occluder_vertices[job.occluder_triangles[its]]
+    )
+    beside = shows.any(axis=0) & (np.abs(middle[:, 0] + 0.47) < 0.5) & (np.abs(middle[:, 2]) < 0.9)
+    assert beside.sum() > 4
+    origins = places[0].origins[work.nodes[of_wall[beside]] - 25]
+    assert ((np.abs(origins[:, 0] + 0.47) > 0.5) | (np.abs(origins[:, 2]) > 0.9)).all()

@@ -70,28 +70,45 @@ class Unbaked:
         new = used[self.nodes[used] < 0]
         if not len(new):
             return
-        its, side = self._points(new), self._entries.side
-        found = patches(its.origins.astype(np.float64), its.normals.astype(np.float64), side)
-        points, inside = self._seen_points(new[found.middle], new[found.rim])
+        points, of_cells, inside = self._places(new)
         order = morton_order(points.origins)
         places = Points(points.origins[order], points.normals[order], points.element_points)
         few = max(FEWEST, rays // SHARE)
         values, gathered, counts = yield from trace(places, few, not last)
         numbers = np.empty(len(order), np.int64)
         numbers[order] = self._first_node + self.places + np.arange(len(order))
-        self.nodes[new] = numbers[found.of_cells]
+        self.nodes[new] = numbers[of_cells]
         self.values.append(values)
         self.gathered.append(gathered)
         self.unseen.append(inside[order] & is_dark(values))
         self.counts += counts
 
-    def _seen_points(self, entries: Index, others: Index) -> tuple[Points, Mask]:
-        """As ``_points`` of ``entries`` (G,), where these lie inside of something from another
-        place in the patch that does not, in the entries ``others`` (G,) or nearer to a corner of
-        the cell: beside a thin wall it would be dark.  And which (G,) have no such place."""
+    def _places(self, cells: Index) -> tuple[Points, Index, Mask]:
+        """A place for every patch of the entries ``cells`` (E,), and for each cell of its own where
+        the patch's lies inside of something and the cell's does not, nearer to a corner: beside
+        a thin wall it would be dark.  The place of each cell (E,); and which lie inside."""
+        its = self._points(cells)
+        centres, normals = its.origins.astype(np.float64), its.normals.astype(np.float64)
+        found = patches(centres, normals, self._entries.side)
+        of_patches, inside = self._seen_points(cells[found.middle], ((cells[found.rim], None),))
+        alone = np.flatnonzero(inside[found.of_cells])
+        corners = tuple((cells[alone], k) for k in range(3))
+        own, hidden = self._seen_points(cells[alone], corners)
+        seen, of_cells = np.flatnonzero(~hidden), found.of_cells.copy()
+        of_cells[alone[seen]] = len(inside) + np.arange(len(seen))
+        origins = np.concatenate([of_patches.origins, own.origins[seen]])
+        facing = np.concatenate([of_patches.normals, own.normals[seen]])
+        inside = np.concatenate([inside, np.zeros(len(seen), bool)])
+        return Points(origins, facing, of_patches.element_points), of_cells, inside
+
+    def _seen_points(
+        self, entries: Index, others: tuple[tuple[Index, int | None], ...]
+    ) -> tuple[Points, Mask]:
+        """As ``_points`` of ``entries`` (G,), where these lie inside of something from the first of
+        the ``others``, as ``_points`` takes them, that does not.  And which (G,) have none."""
         found = self._points(entries)
         hidden = np.flatnonzero(self._are_inside(found))
-        for its_entries, towards in ((others, None), *((entries, k) for k in range(3))):
+        for its_entries, towards in others:
             if not len(hidden):
                 break
             its = self._points(its_entries[hidden], towards)
@@ -103,6 +120,8 @@ class Unbaked:
 
     def _are_inside(self, places: Points) -> Mask:
         """Which of ``places`` lie inside of other things."""
+        if not len(places.origins):
+            return np.zeros(0, bool)
         dark = np.zeros((len(places.origins), 1), np.float32)
         self.looks += rays_for(dark)
         return buried(places.origins, places.normals, dark, self._occlusion)

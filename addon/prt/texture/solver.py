@@ -78,14 +78,16 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     yield from work.go_on(scale, tolerance)
     yield from _push_out(work, grid, tracer, edges.region)
     charts = Grid.of(size, index, edges.chart[triangles])
-    yield from _look_within(work, charts, tracer, scale, UNEVEN * tolerance)
+    smooth = settings.order**2  # columns, whose noise is known
+    of_transfer = Scale.of(first[:, :smooth], smooth, None)
+    yield from _look_within(work, charts, tracer, of_transfer, UNEVEN * tolerance)
     known = work.state != BURIED
     grow(charts, work.values, known, RINGS)
-    values, counts = work.values[known], np.bincount(work.state, minlength=4)
+    values = work.values[known]
     at = Grid.of(size, index[known], grid.region[known]).at
     inside, its = tracer.inside
     within = Wanted.at(in_atlas(mesh.layout, inside), its, 1.0, at)
-    sharpened = sharpen(values, within, settings.order**2, scale, noise * NOISIER)
+    sharpened = sharpen(values, within, smooth, of_transfer, noise * NOISIER)
     yield from _counted(tracer, sharpened)
     seams = Samples.across(edges.seams, size, at)
     before = seams.read(values)
@@ -93,16 +95,22 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     border, away = yield from _border(tracer, values, at, np.flatnonzero(known), own)
     yield from _counted(tracer, stitch(values, seams, border, within.samples, away))
     values[:, 0] = np.maximum(values[:, 0], 0)
-    entry = {
-        "texels": len(values),
+    errors = yield from _errors(tracer, values, at, settings, noise)
+    jumps = _seam_report(scale, before, seams.read(values))
+    entry = {"rays": tracer.cast, **_counts(work, len(values)), "seams": jumps, **errors}
+    return Texels(index[known], values, entry, tracer.traced)
+
+
+def _counts(work: Refinement, texels: int) -> dict[str, int]:
+    """What the report says of so many ``texels``, by how they came to their values."""
+    counts = np.bincount(work.state, minlength=4)
+    return {
+        "texels": texels,
         "traced_texels": int(counts[TRACED]),
         "interpolated_texels": int(counts[BETWEEN]),
-        "filled_texels": len(values) - int(counts[TRACED] + counts[BETWEEN]),
+        "filled_texels": texels - int(counts[TRACED] + counts[BETWEEN]),
         "buried_points": int(counts[BURIED]),
-        "seams": _seam_report(scale, before, seams.read(values)),
     }
-    errors = yield from _errors(tracer, values, at, settings, noise)
-    return Texels(index[known], values, {"rays": tracer.cast, **entry, **errors}, tracer.traced)
 
 
 def _counted(tracer: Tracer, steps: Generator[None, None, None]) -> Generator[int, None, None]:
@@ -154,6 +162,11 @@ class Scale:
                 groups.append(form / (max(rms, 1e-20) * form.shape[1] ** 0.5))
         return cls(tuple(groups))
 
+    @property
+    def columns(self) -> int:
+        """How many columns it is for."""
+        return len(self.groups[0]) if self.groups else 0
+
     def __call__(self, differences: Array) -> Array:
         """The largest of what the groups say of ``differences`` (M, K), relative (M,)."""
         found = [np.zeros(len(differences), np.float32)]
@@ -177,16 +190,17 @@ def _push_out(
 def _look_within(
     work: Refinement, charts: Grid, tracer: Tracer, scale: Scale, most: float
 ) -> Generator[int, None, None]:
-    """Trace several places within texels that differ by more than ``most`` from one of those about
-    them on their chart, and where buried ones are seen after all: there that is their value."""
-    buried = work.state == BURIED
+    """Trace several places within texels whose transfer differs by more than ``most`` from that of
+    one of those about them on their chart, and where buried ones are seen after all: there that is
+    their value."""
+    buried, transfer = work.state == BURIED, work.values[:, : scale.columns]
     wanted = buried.copy()
     for first in range(0, len(buried), PIECE):
         rows = np.arange(first, min(first + PIECE, len(buried)))
         for step in AROUND:
             near = charts.neighbours(rows, [step])[:, 0]
             both = (near >= 0) & ~buried[near] & ~buried[rows]
-            wanted[rows] |= both & (scale(work.values[rows] - work.values[near]) > most)
+            wanted[rows] |= both & (scale(transfer[rows] - transfer[near]) > most)
         yield tracer.cast
     of, found = yield from tracer.look_within(np.flatnonzero(wanted), buried, SHARES[1])
     of, found = of[buried[of]], found[buried[of]]

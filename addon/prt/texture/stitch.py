@@ -13,7 +13,7 @@ which then holds the reads there to what it made of them.
 """
 
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,7 @@ Array = npt.NDArray[np.float32]
 BEYOND = 0.15  # texels: a centre that is further outside was traced at the border
 FOUND = 1.0  # weight of a read at the border that misses what was found
 SURE = 0.01  # weight of a change of a texel where reads by far miss what was found
+EVER = 2.0  # weight of any such change where the noise of what was found is not known
 AS_READ = 1.0  # weight of such a read that a seam moves from what it had come to
 LEAST_KEPT = 0.02  # weight of a change of a texel that hardly any place reads; of others 1
 LEAST_SHARE = 1e-6  # of a read: a texel that has less takes no part in it
@@ -219,10 +220,10 @@ def sharpen(
     values: Array, within: Wanted, smooth: int, size: Size, noise: float
 ) -> Generator[None, None, None]:
     """Change ``values`` (T, K) in place so that reads ``within`` texels come nearer to what they
-    are to find, the nearer, the more they miss what was found beyond its ``noise``, relative as
-    ``size`` says.  Beyond the first ``smooth`` columns no texel leaves the range of these and of
-    what it was: the edge of a sun's shadow would have a bright line along it.  Yields now and then.
-    """
+    are to find: in the first ``smooth`` columns the nearer, the more they miss what was found
+    beyond its ``noise``, relative as ``size`` of these says.  The noise of others is not known, and
+    there no texel leaves the range of these and of what it was: the edge of a sun's shadow would
+    have a bright line along it.  Yields now and then."""
     if not len(within.values):
         return
     sharp, its = values[:, smooth:], within.values[:, smooth:]
@@ -233,10 +234,19 @@ def sharpen(
             np.minimum.at(low[:, k], rows[read], its[read, k])
             np.maximum.at(high[:, k], rows[read], its[read, k])
         yield
-    kept = _kept(size(within.samples.read(values) - within.values), within.samples, noise, len(low))
-    system = yield from in_thread(lambda: Stitch([within], kept))
-    yield from system.solve(values)
+    missed = size((within.samples.read(values) - within.values)[:, :smooth])
+    as_sure = _kept(missed, within.samples, noise, len(values))
+    as_ever = np.full(len(values), EVER, np.float32)
+    for columns, kept in ((slice(0, smooth), as_sure), (slice(smooth, None), as_ever)):
+        mine = replace(within, values=within.values[:, columns])
+        yield from _meet([mine], kept, values[:, columns])
     np.clip(sharp, low, high, out=sharp)
+
+
+def _meet(wanted: Sequence[Wanted], kept: Array, values: Array) -> Generator[None, None, None]:
+    """Solve the Stitch of ``wanted`` and ``kept`` for ``values``.  Yields now and then."""
+    system = yield from in_thread(lambda: Stitch(wanted, kept))
+    yield from system.solve(values)
 
 
 def _kept(missed: Array, samples: Samples, noise: float, count: int) -> Array:
@@ -267,5 +277,4 @@ def stitch(
             wanted.append(Wanted(beside, beside.read(values), AS_READ))
         keep = np.where(away > 0, 0.5 * np.square(np.maximum(1 - away, 0)), 1)
         kept = np.maximum(keep, LEAST_KEPT).astype(np.float32)
-        system = yield from in_thread(lambda: Stitch(wanted, kept))
-        yield from system.solve(values)
+        yield from _meet(wanted, kept, values)
