@@ -80,9 +80,8 @@ class Scene:
         if self._whole is not None:
             return self._whole.occlusion
         with self.meter.phase("acceleration structure"):
-            met = (
-                self._occluders if self.job.bounces else self._fewer
-            )  # light bounces off those met
+            # light bounces off the very triangle that a ray meets
+            met = self._occluders if self.job.bounces else self._fewer
             threads = self.job.settings.threads
             return occlusion(met.vertices, met.triangles, self._rays(), threads)
 

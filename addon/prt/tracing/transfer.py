@@ -34,6 +34,7 @@ Counts = Counter[str]
 BATCH_RAYS = 32768
 PARTS = 16  # of the points that are left, so that threads end together, but
 PART_RAYS = 1 << 17, 1 << 18  # in a part no fewer and no more
+FEWEST_PARTS = 4  # of few rays, too
 
 CAST = "cast"
 MAP_RAYS = "cast towards the map's light"
@@ -127,10 +128,11 @@ class Tracer:
         """Some groups of points each, neighbours where they can be; fewer and fewer towards the
         end."""
         left = len(self.points.origins)
+        low, high = min(PART_RAYS[0], left * self.rays // FEWEST_PARTS), PART_RAYS[1]
         for alike in self.open_rays.alike():
             groups = alike.groups
             while len(groups):
-                rays = int(np.clip(left * self.rays // PARTS, *PART_RAYS))
+                rays = int(np.clip(left * self.rays // PARTS, low, high))
                 size = max(4, min(1024, rays // (GROUP * self._traced(alike))) // 4 * 4)
                 yield replace(alike, groups=groups[:size])
                 groups = groups[size:]
