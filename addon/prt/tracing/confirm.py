@@ -2,7 +2,7 @@
 
 Embree's fast mode lets about one ray in four million through the edges of a closed mesh.  Among the
 clear rays of a point in the open that is nothing; at a point that sees next to no sky it is a speck
-of light.  So there three more rays are cast about each one that came through, as far apart as no
+of light.  So there three more rays are cast about each one that came through, so far apart that no
 edge of two triangles takes more than one of them, and two of them have to come through too.
 """
 
@@ -16,7 +16,8 @@ from .rays import Occlusion
 Array = npt.NDArray[np.float32]
 
 NEARLY_DARK = 1 / 32  # of the rays reach the sky
-ASIDE = 5e-4  # radians: wider than the slits that rounding makes, far from the origin too
+ASIDE = 5e-4  # radians: wider than a slit that rounding makes looks from afar
+BESIDE = 2.0**-21  # of an origin's largest coordinate, 4 steps of float32: and than it is nearby
 CASTS = 3  # to confirm a ray
 
 
@@ -36,10 +37,10 @@ def confirmed(occlusion: Occlusion, origins: Array, directions: Array) -> Array:
     axis = np.zeros_like(directions)
     axis[np.arange(len(axis)), np.abs(directions).argmin(axis=1)] = 1
     along = np.cross(directions, axis)
-    along *= ASIDE / np.linalg.norm(along, axis=1, keepdims=True)
-    across = np.cross(directions, along)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across, steps = np.cross(directions, along), BESIDE * np.abs(origins).max(axis=1, keepdims=True)
     clear = np.zeros(len(directions), np.int32)
     for angle in np.arange(CASTS, dtype=np.float32) * np.float32(2 * pi / CASTS):
-        beside = directions + np.cos(angle) * along + np.sin(angle) * across
-        clear -= occlusion.sky_mask(origins, beside)
+        sideways = np.cos(angle) * along + np.sin(angle) * across
+        clear -= occlusion.sky_mask(origins + steps * sideways, directions + ASIDE * sideways)
     return (2 * clear > CASTS).astype(np.float32)
