@@ -34,8 +34,8 @@ RMS over random points), beside other ways to get there. All start from the same
 take turns, and have the same threads.
 
 - *PRT Baker* is the engine's own process. *Seconds* are its tracing, finding what can be skipped
-  included; *the whole* takes in the process, its files, finding the points, Embree's structure and
-  the error estimate.
+  included; *the whole* takes in the process, its files, finding the points and what they show, Embree's
+  structure and the error estimate.
 - *Textbook* is Monte Carlo in numpy and embreex: random cosine-weighted directions, the basis for
   every ray.
 - *Mitsuba* is its compiled LLVM kernel: visibility, basis and sums in registers, a lane a point,
