@@ -34,7 +34,7 @@ RMS over random points), beside other ways to get there. All start from the same
 take turns, and have the same threads.
 
 - *PRT Baker* is the engine's own process. *Seconds* are its tracing, finding what can be skipped
-  included; *the whole* takes in the process, its files, finding the points and what they show, Embree's
+  included; *the whole* takes in the process, its files, finding points and what they show, Embree's
   structure and the error estimate.
 - *Textbook* is Monte Carlo in numpy and embreex: random cosine-weighted directions, the basis for
   every ray.
