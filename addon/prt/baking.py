@@ -63,14 +63,14 @@ class Scene:
         self._occluders = Parts.of(
             job.occluder_vertices, job.occluder_triangles, job.occluder_starts
         )
-        self.surroundings = Surroundings(self._occluders, lambda: self._fewer)
+        self.surroundings = Surroundings(self._occluders, lambda: self.flattened)
 
     @cached_property
-    def _fewer(self) -> Parts:
+    def flattened(self) -> Parts:
         """The occluders with each flat grid as a few large triangles, for all that need not know
         which triangle is met."""
         if self._whole is not None:
-            return self._whole._fewer  # noqa: SLF001 - another Scene's
+            return self._whole.flattened
         with self.meter.phase("acceleration structure"):
             return fewer(self._occluders)
 
@@ -81,7 +81,7 @@ class Scene:
             return self._whole.occlusion
         with self.meter.phase("acceleration structure"):
             # light bounces off the very triangle that a ray meets
-            met = self._occluders if self.job.bounces else self._fewer
+            met = self._occluders if self.job.bounces else self.flattened
             threads = self.job.settings.threads
             return occlusion(met.vertices, met.triangles, self._rays(), threads)
 

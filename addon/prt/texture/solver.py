@@ -204,10 +204,10 @@ def _look_within(
         yield tracer.cast
     of, found = yield from tracer.look_within(np.flatnonzero(wanted), buried, SHARES[1])
     of, found = of[buried[of]], found[buried[of]]
-    rows, which, counts = np.unique(of, return_inverse=True, return_counts=True)
-    work.values[rows] = 0
-    np.add.at(work.values, of, found / counts[which.reshape(-1), None].astype(np.float32))
-    work.state[rows] = TRACED
+    counts = np.bincount(of, minlength=len(buried)).astype(np.float32)
+    work.values[of] = 0
+    np.add.at(work.values, of, found / counts[of, None])
+    work.state[of] = TRACED
 
 
 def _border(

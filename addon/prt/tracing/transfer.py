@@ -35,6 +35,9 @@ BATCH_RAYS = 32768
 PARTS = 16  # of the points that are left, so that threads end together, but
 PART_RAYS = 1 << 17, 1 << 18  # in a part no fewer and no more
 FEWEST_PARTS = 4  # of few rays, too
+MOST_GROUPS = 1024  # in a part
+CLOSED = 4  # every so many-th ray is cast, of those that a mask is asked for
+FEWEST_TRACED = 64, 16  # every so many-th, at least, counts: where sums are all, and else
 
 CAST = "cast"
 MAP_RAYS = "cast towards the map's light"
@@ -133,7 +136,7 @@ class Tracer:
             groups = alike.groups
             while len(groups):
                 rays = int(np.clip(left * self.rays // PARTS, low, high))
-                size = max(4, min(1024, rays // (GROUP * self._traced(alike))) // 4 * 4)
+                size = max(4, min(MOST_GROUPS, rays // (GROUP * self._traced(alike))) // 4 * 4)
                 yield replace(alike, groups=groups[:size])
                 groups = groups[size:]
                 left -= GROUP * size
@@ -142,8 +145,8 @@ class Tracer:
         """About how many rays of each of these points are traced, so that parts and batches take
         about as long each."""
         left = self.rays - alike.first
-        fewest = self.rays // (64 if self._sums_only else 16)
-        return max(1, left // 4 if alike.pays else left, fewest)
+        fewest = self.rays // FEWEST_TRACED[not self._sums_only]
+        return max(1, left // CLOSED if alike.pays else left, fewest)
 
     def trace(self, part: Alike, out: Array) -> Counts:
         """Transfer, what is gathered, and visibility of the points of ``part`` into ``out``; the
