@@ -8,6 +8,7 @@ Ray Tracing Gems II, ch. 4), so that a smooth convex mesh doesn't shadow itself;
 surface by a bias that scales with the coordinates' float32 spacing.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ from ..mixing import mixed
 
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
+Codes = npt.NDArray[np.uint64]
 
 INWARD = 0.01  # share of the way to the host's centroid
 BIAS = 2.0**-19  # of the largest coordinate nearby: 16 steps of float32
@@ -244,20 +246,25 @@ def morton_order(positions: npt.NDArray[np.floating[Any]]) -> Index:
         return np.zeros(0, np.int64)
     place_bits = max(1, count.bit_length())
     axis_bits = min(MORTON_BITS, (64 - place_bits) // 3)
-    spread = _spread(np.arange(1 << axis_bits, dtype=np.uint64))
     low = positions.min(axis=0)
     extent = float((positions.max(axis=0) - low).max())
     steps = ((1 << axis_bits) - 1) / extent if extent > 0 else 0.0
-    code = np.zeros(count, np.uint64)
-    for axis in range(3):
-        cells = (positions[:, axis] - low[axis]) * steps
-        code |= spread[cells.astype(np.int32)] << np.uint64(axis)
-    code = code << np.uint64(place_bits) | np.arange(count, dtype=np.uint64)
+    cells = (((positions[:, axis] - low[axis]) * steps).astype(np.int32) for axis in range(3))
+    code = interleaved(cells, axis_bits) << np.uint64(place_bits) | np.arange(
+        count, dtype=np.uint64
+    )
     code.sort()
     return (code & np.uint64((1 << place_bits) - 1)).astype(np.int64)
 
 
-def _spread(values: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+def interleaved(cells: Iterable[npt.NDArray[np.integer[Any]]], bits: int) -> Codes:
+    """Places (N,) along a Z curve of ``cells`` of so many ``bits``, (N,) along each axis."""
+    spread = _spread(np.arange(1 << bits, dtype=np.uint64))
+    codes = [spread.take(its) << np.uint64(axis) for axis, its in enumerate(cells)]
+    return np.asarray(codes[0] | codes[1] | codes[2])
+
+
+def _spread(values: Codes) -> Codes:
     """The 16 low bits with two zero bits after each."""
     for shift, mask in (
         (16, 0xFF0000FF),

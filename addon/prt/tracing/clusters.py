@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from ..surface.points import interleaved
 from .flats import Parts
 
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-CLUSTERS = 128
-CELLS = 22  # along each axis: a cluster lies in one cell
+FEWEST = 128  # clusters of things that are all of one size
+DEEPEST = 6  # times that a cube is cut in eight
+CELLS = 22  # along an axis, that a triangle reaches across at most one of, where it is cut
 FLAT = 1e-6  # sin² of the angle between two triangles of one plane
 CHUNK = 1 << 18  # triangles
 PIECES = 4096  # of triangles larger than a cell
@@ -34,13 +36,14 @@ class Clusters:
     parts: Index
 
     @classmethod
-    def of(cls, parts: Parts) -> "Clusters":
-        """Clusters of the triangles of ``parts``."""
+    def of(cls, parts: Parts, most: int) -> "Clusters":
+        """Clusters of the triangles of ``parts``, in about ``most`` cells and sides."""
         places, corners, part_of = _cut(parts)
         keys = _keys(places, corners)
-        order = np.argsort(keys, kind="stable")  # a radix sort of 16 bits
+        keys >>= _needless(keys, most)
+        order = _sorted(keys)
         part_of = part_of[order]
-        starts = _starts(keys[order], part_of, -(-len(corners) // CLUSTERS))
+        starts = _starts(keys[order], part_of, -(-len(corners) // FEWEST))
         cuts = starts[np.searchsorted(starts, np.arange(0, len(corners), CHUNK))]
         bounds = []
         for low, high in zip(cuts, [*cuts[1:], len(corners)], strict=True):
@@ -110,20 +113,51 @@ def _reach(corners: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
 
 def _keys(
     vertices: npt.NDArray[np.floating], triangles: npt.NDArray[np.int32]
-) -> npt.NDArray[np.uint16]:
-    """For each triangle the cell of a grid that its first corner lies in, the side that it faces,
-    and whether the one after or before it faces just there too, so that what stands on a floor is
-    not gathered with it."""
+) -> npt.NDArray[np.uint32]:
+    """For each triangle the side that it faces and whether the one after or before it faces just
+    there too, so that what stands on a floor is not gathered with it; and in the lower bits, three
+    by three, the cell that its first corner lies in, of a cube that is cut in eight, each of these
+    too, and so on."""
     low, extent = vertices.min(axis=0), _extent(vertices)
-    keys = np.empty(len(triangles), np.uint16)
+    steps = (1 << DEEPEST) / extent
+    keys = np.empty(len(triangles), np.uint32)
     for start in range(0, len(triangles), CHUNK):
         corners = vertices[triangles[start : start + CHUNK]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        cell = ((corners[:, 0] - low) * (CELLS / extent)).clip(0, CELLS - 1).astype(np.int64)
-        places = (cell[:, 0] * CELLS + cell[:, 1]) * CELLS + cell[:, 2]
-        sides = places * 3 + np.abs(normals).argmax(axis=1)
-        keys[start : start + CHUNK] = sides * 2 + _flat(normals)
+        cell = ((corners[:, 0] - low) * steps).clip(0, (1 << DEEPEST) - 1).astype(np.int64)
+        places = interleaved(cell.T, DEEPEST).astype(np.uint32)
+        sides = np.abs(normals).argmax(axis=1) * 2 + _flat(normals)
+        keys[start : start + CHUNK] = sides.astype(np.uint32) << np.uint32(3 * DEEPEST) | places
     return keys
+
+
+def _needless(keys: npt.NDArray[np.uint32], most: int) -> int:
+    """How many of the last bits of ``keys`` (F,) to do without, so that there are no more than
+    ``most`` different ones, or all cells are one."""
+    different = np.flatnonzero(np.bincount(keys))
+    for depth in range(DEEPEST):
+        if np.count_nonzero(np.diff(different >> 3 * depth)) < most:
+            return 3 * depth
+    return 3 * DEEPEST
+
+
+def _sorted(keys: npt.NDArray[np.uint32]) -> Index:
+    """The order (F,) of ``keys``, equal ones as they stand: by two radix sorts of 16 bits."""
+    order = np.argsort(keys.astype(np.uint16), kind="stable")
+    high = (keys >> 16).astype(np.uint16)
+    if high.any():
+        order = order[np.argsort(high[order], kind="stable")]
+    return np.asarray(order)
+
+
+def _starts(keys: npt.NDArray[np.uint32], part_of: Index, size: int) -> Index:
+    """Where clusters start among triangles that are sorted by ``keys``: at every new key or part,
+    and after ``size`` triangles."""
+    new = np.ones(len(keys), bool)
+    new[1:] = (keys[1:] != keys[:-1]) | (part_of[1:] != part_of[:-1])
+    first = np.flatnonzero(new)
+    place = np.arange(len(keys)) - np.repeat(first, np.diff(np.append(first, len(keys))))
+    return np.flatnonzero(place % size == 0)
 
 
 def _flat(normals: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
@@ -132,16 +166,6 @@ def _flat(normals: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
     alike = np.einsum("fc,fc->f", normals[1:], normals[:-1])
     alike = alike**2 >= (1 - FLAT) * square[1:] * square[:-1]
     return np.asarray(np.append(alike, False) | np.insert(alike, 0, False))
-
-
-def _starts(keys: npt.NDArray[np.uint16], part_of: Index, size: int) -> Index:
-    """Where clusters start among triangles that are sorted by ``keys``: at every new key or part,
-    and after ``size`` triangles."""
-    new = np.ones(len(keys), bool)
-    new[1:] = (keys[1:] != keys[:-1]) | (part_of[1:] != part_of[:-1])
-    first = np.flatnonzero(new)
-    place = np.arange(len(keys)) - np.repeat(first, np.diff(np.append(first, len(keys))))
-    return np.flatnonzero(place % size == 0)
 
 
 def _bounds(corners: Float, starts: Index) -> tuple[Float, ...]:

@@ -9,7 +9,6 @@ elevation of its own: things that stand around leave the view between them open.
 Every bound is conservative.
 """
 
-from dataclasses import dataclass
 from math import pi
 
 import numpy as np
@@ -17,11 +16,9 @@ import numpy.typing as npt
 
 from .clusters import Clusters, Float
 from .hemisphere import frames
+from .rising import SECTORS, Things, nested, steepest
 
-SECTORS = 32  # about the normal, a power of two
-BRANCHES = 4  # groups of points that are one group
-FAR = 6  # times as far away as points are apart: then these are looked at together
-MARGIN = 1e-3  # radians: more than rounding turns a direction by
+OVERHEAD = 1e9  # the tangent of an elevation that leaves nothing open
 SAME = 1e-4  # difference of two frames that are one
 FRAMES = 8  # of blocks that are looked at together
 MIXED = 0.3  # radians between the normals of a block: its points are then looked at one by one
@@ -54,8 +51,8 @@ class Horizon:
         for k, row in enumerate(first):
             mine = which == k
             each = places[mine].reshape(-1, places.shape[1] // parts, 3)
-            angles = self._sector_angles(each, frame[row], float(tilt[mine].max()))
-            shares[mine] = _open(angles).reshape(-1, parts, SECTORS)
+            found = self._sector_shares(each, frame[row], float(tilt[mine].max()))
+            shares[mine] = found.reshape(-1, parts, SECTORS)
         shares[which < 0] = 0
         others = (which < 0) & (self._looks_at_curved | ~np.isnan(frame[:, 0, 0]))
         mixed = others & (tilt > MIXED)
@@ -67,48 +64,24 @@ class Horizon:
         shares[mixed] = _open(elevation).reshape(-1, parts, 1, places.shape[1] // parts).min(3)
         return shares
 
-    def _sector_angles(self, places: Float, frame: Float, tilt: float) -> Float:
-        """The largest angle (B, SECTORS) at which any cluster rises in each sector of ``frame``
-        (3, 3), the rows tangent, bitangent and normal of neighbouring points (B, K, 3), whose
-        normals are within ``tilt`` of it.
-
-        What is far from many neighbours together is as high for all of them.
-        """
+    def _sector_shares(self, places: Float, frame: Float, tilt: float) -> Float:
+        """``open_shares`` (B, SECTORS) of neighbouring points (B, K, 3), whose normals are within
+        ``tilt`` of the last row of ``frame`` (3, 3): their tangent, bitangent and normal."""
         c = self._clusters
-        local = places @ frame.T
-        levels = _levels(local.min(axis=1), local.max(axis=1))
-        centres, turn = c.centres @ frame.T, c.axes @ frame[2]
-        top = centres[:, 2] + np.maximum(c.high * turn, c.low * turn)
+        centres, turn = frame @ c.centres.T, c.axes @ frame[2]
+        top = centres[2] + np.maximum(c.high * turn, c.low * turn)
         top += c.across * np.sqrt(np.maximum(1 - turn**2, 0))
-        low = levels[0].low
-        far = float(np.ptp(np.concatenate([centres[:, :2], low[:, :2]]), axis=0).max(initial=0))
-        slack = 2 * tilt * (2 * far + c.radius.max(initial=0) + levels[0].reach.max(initial=0))
-        above = np.flatnonzero(top > low[:, 2].min(initial=np.inf) - slack)
-        found = np.zeros((len(levels[-1].low), SECTORS))
-        block = np.repeat(np.arange(len(found)), len(above))
-        cluster = np.tile(above, len(found))
-        for depth in reversed(range(len(levels))):
-            level = levels[depth]
-            height = top[cluster] - level.low[block, 2]
-            block, cluster, height = (v[height > 0] for v in (block, cluster, height))
-            x, y = (centres[cluster, :2] - level.middle[block]).T
-            sideways, reach = np.sqrt(x * x + y * y), level.reach[block]
-            spread = c.radius[cluster] + reach
-            gap = sideways - spread
-            apart = gap > (FAR * reach if depth else 0)
-            half = np.arcsin(spread[apart] / sideways[apart]) + MARGIN
-            middle = np.arctan2(y[apart], x[apart])
-            _raise(found, block[apart], middle, half, height[apart] / gap[apart])
-            block, cluster = block[~apart], cluster[~apart]
-            if depth:
-                count = len(levels[depth - 1].low)
-                found = np.repeat(found, BRANCHES, axis=0)[:count]
-                block = (BRANCHES * block[:, None] + np.arange(BRANCHES)).reshape(-1)
-                cluster = np.repeat(cluster, BRANCHES)[block < count]
-                block = block[block < count]
-        found[block] = np.inf
-        rises = top.max(initial=-np.inf) > low[:, 2] - slack
-        return np.asarray(np.where(rises[:, None], np.arctan(found) + tilt, 0))
+        local = (places.reshape(-1, 3) @ frame.T).reshape(places.shape)
+        local = np.ascontiguousarray(local.transpose(1, 2, 0))
+        blocks = nested(local.min(axis=0), local.max(axis=0))
+        tangent = np.minimum(steepest(blocks, Things(centres[:2], c.radius, top)), OVERHEAD)
+        cosine = np.cos(tilt) - np.sin(tilt) * tangent  # of the elevation and the tilt, but for
+        shares = np.square(np.maximum(cosine, 0)) / (1 + tangent * tangent)  # a length
+        its = blocks[0]
+        farthest = float(np.ptp(np.append(centres[:2], its.middle, axis=1), axis=1).max())
+        slack = 2 * tilt * (2 * farthest + c.radius.max(initial=0) + its.reach.max(initial=0))
+        shares[its.low - slack >= top.max(initial=-np.inf)] = 1
+        return np.asarray(shares)
 
     def _elevation(self, places: Float, axis: Float, tilt: Float) -> Float:
         """The largest angle (B,) at which any cluster rises over the tangent planes of points
@@ -133,29 +106,6 @@ class Horizon:
         return np.asarray(np.where(rises.any(axis=0), np.arctan(tangent) + tilt, 0))
 
 
-@dataclass(frozen=True)
-class _Level:
-    """Boxes about groups of points: the ``low`` corner (B, 3), and across the third axis the
-    ``middle`` (B, 2) and the ``reach`` (B,) from there."""
-
-    low: Float
-    middle: Float
-    reach: Float
-
-
-def _levels(low: Float, high: Float) -> list[_Level]:
-    """Of the boxes from ``low`` to ``high`` (B, 3), and of BRANCHES of them together, and of as
-    many of these, up to a few."""
-    levels = list[_Level]()
-    while True:
-        middle, size = 0.5 * (low + high)[:, :2], (high - low)[:, :2]
-        levels.append(_Level(low, middle, 0.5 * np.hypot(*size.T)))
-        if len(low) <= BRANCHES:
-            return levels
-        starts = np.arange(0, len(low), BRANCHES)
-        low, high = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
-
-
 def _open(elevation: Float) -> Float:
     """sin² of the angle to the normal that is left above an ``elevation``."""
     return np.asarray(np.cos(np.minimum(elevation, 0.5 * pi)) ** 2)
@@ -164,12 +114,19 @@ def _open(elevation: Float) -> Float:
 def _common_frames(normals: Float) -> Float:
     """Tangent, bitangent and normal (B, 3, 3), in rows, of blocks of unit ``normals`` (B, K, 3), as
     ``hemisphere`` turns its directions; NaN where the points of a block have none in common."""
-    flat = normals.reshape(-1, 3)
-    each = frames(flat, np.zeros(len(flat))).matrices().transpose(0, 2, 1).astype(np.float64)
-    each = each.reshape(*normals.shape[:2], 3, 3)
-    common = each[:, 0].copy()
-    common[(np.abs(each - each[:, :1]) > SAME).any(axis=(1, 2, 3))] = np.nan
+    common = _frames(normals[:, 0])
+    varied = np.flatnonzero((normals != normals[:, :1]).any(axis=(1, 2)))
+    its = normals[varied]
+    each = _frames(its.reshape(-1, 3)).reshape(*its.shape[:2], 3, 3)
+    apart = (np.abs(each - each[:, :1]) > SAME).any(axis=(1, 2, 3))
+    common[varied[apart]] = np.nan
     return common
+
+
+def _frames(normals: Float) -> Float:
+    """Tangents, bitangents and ``normals`` (N, 3), in rows (N, 3, 3)."""
+    matrices = frames(normals, np.zeros(len(normals))).matrices()
+    return np.asarray(matrices.transpose(0, 2, 1), np.float64)
 
 
 def _alike(frame: Float) -> tuple[npt.NDArray[np.int64], list[int]]:
@@ -184,18 +141,3 @@ def _alike(frame: Float) -> tuple[npt.NDArray[np.int64], list[int]]:
         first.append(k)
         left &= ~mine
     return which, first
-
-
-def _raise(
-    found: Float, block: npt.NDArray[np.int64], middle: Float, half: Float, steep: Float
-) -> None:
-    """Raise the sectors of ``found`` (B, SECTORS) that lie within ``half`` of ``middle`` (P,)
-    radians to ``steep`` (P,) at least, in the rows ``block`` (P,)."""
-    to_sectors = SECTORS / (2 * pi)
-    first = np.floor((middle - half) * to_sectors).astype(np.int64)
-    last = np.floor((middle + half) * to_sectors).astype(np.int64)
-    count = np.minimum(last - first + 1, SECTORS)
-    place = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    sector = (np.repeat(first, count) + place) % SECTORS
-    rows = np.repeat(block, count)
-    np.maximum.at(found.reshape(-1), rows * SECTORS + sector, np.repeat(steep, count))

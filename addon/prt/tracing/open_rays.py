@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from ..surface.points import Points
 from .hemisphere import GROUP
-from .horizon import SECTORS, Horizon
+from .horizon import Horizon
+from .rising import SECTORS
 
 Array = npt.NDArray[np.float32]
 Index = npt.NDArray[np.int64]

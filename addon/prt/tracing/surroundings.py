@@ -17,6 +17,7 @@ WORTH = 0.05  # of the rays have to be saved by a sample of the blocks
 SAMPLE, BLOCK = 64, 64  # blocks, and their points
 LOOKED_AT = 2  # every second one of them, as its horizon is dear among many occluders
 FLAT = 1e-4
+CURVED, FLOORS = 512, 4096  # cells that occluders lie in, of which curved bodies look at each
 LOOK_RAYS, CLUSTER_RAYS = 32, 12  # to the sky, that take as long as a place or triangle takes
 REACH_BLOCKS = 256
 
@@ -27,11 +28,13 @@ class Surroundings:
     def __init__(self, occluders: Parts, fewer: Callable[[], Parts]) -> None:
         self._vertices, self._triangles = occluders.vertices, occluders.triangles
         self._starts = occluders.starts
-        self._fewer = fewer
+        self._fewer, self._made = fewer, dict[int, Clusters]()
 
-    @cached_property
-    def _clusters(self) -> Clusters:
-        return Clusters.of(self._fewer())
+    def _clusters(self, most: int) -> Clusters:
+        """Of all, in about ``most`` cells and sides; made once."""
+        if most not in self._made:
+            self._made[most] = Clusters.of(self._fewer(), most)
+        return self._made[most]
 
     @cached_property
     def _boxes(self) -> Float:
@@ -57,7 +60,7 @@ class Surroundings:
         convex = flat < 1 and is_convex(receiver)  # what is flat does not rise above itself
         if not convex and flat < WORTH:
             return None
-        clusters = self._clusters
+        clusters = self._clusters(CURVED if convex else FLOORS)
         if convex:
             clusters = clusters.without(self._parts_like(receiver))
         found = Horizon(clusters, looks_at_curved=convex)
@@ -67,7 +70,7 @@ class Surroundings:
 
     def _pays(self, places: int, saved: float) -> bool:
         """Whether so many rays ``saved`` a place take longer than finding them."""
-        clusters = 0 if "_clusters" in vars(self) else CLUSTER_RAYS * len(self._fewer().triangles)
+        clusters = 0 if self._made else CLUSTER_RAYS * len(self._fewer().triangles)
         return places * (saved - LOOK_RAYS) > clusters
 
     def reachable(self, points: Points) -> Index:
