@@ -143,19 +143,19 @@ class Turn:
 
     def __call__(self, frames: Frames, local: Array) -> Array:
         """World coefficients (P, n²) of ``local`` (P, n²)."""
-        values = self._about_z(frames.cos_azimuth, frames.sin_azimuth, local)
-        values = values @ self._quarter.T
-        values = self._about_z(frames.cos_theta, frames.sin_theta, values)
-        values = values @ self._quarter
-        return self._about_z(frames.cos_phi, frames.sin_phi, values)
+        values = self._about_z(frames.cos_azimuth, frames.sin_azimuth, local.T.copy())
+        values = self._about_z(frames.cos_theta, frames.sin_theta, self._quarter @ values)
+        values = self._quarter.T @ values
+        return self._about_z(frames.cos_phi, frames.sin_phi, values).T
 
     def _about_z(self, cosine: Array, sine: Array, values: Array) -> Array:
-        turned = values.copy()
+        """Rows of coefficients (n², P), turned."""
+        turned = np.empty_like(values)
         c, s = np.ones_like(cosine), np.zeros_like(sine)
-        for m in range(1, self._order):
+        for m in range(self._order):
+            for band in range(m, self._order):
+                even, odd = sh.index(band, m), sh.index(band, -m)
+                turned[even] = c * values[even] - s * values[odd]
+                turned[odd] = s * values[even] + c * values[odd]
             c, s = c * cosine - s * sine, s * cosine + c * sine
-            even = [sh.index(band, m) for band in range(m, self._order)]
-            odd = [sh.index(band, -m) for band in range(m, self._order)]
-            turned[:, even] = c[:, None] * values[:, even] - s[:, None] * values[:, odd]
-            turned[:, odd] = s[:, None] * values[:, even] + c[:, None] * values[:, odd]
         return turned

@@ -2,6 +2,7 @@
 
 from collections.abc import Generator
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +14,10 @@ from .transfer import CAST, Array, Shortcuts, relative_rms, trace_all
 
 FALL = 0.77  # the error falls as N^-0.77
 FEWEST, MOST = 16, 65536
+AIM = 0.95  # of the tolerance, which is then kept more often than not
 PILOT_RAYS = 64
 ESTIMATE_POINTS = 1024  # tell an error
+SURE_POINTS = 2048  # tell it surely
 ERROR_OF_DIFFERENCE = 0.34  # of |T(N) - T(N/4)|, pooled: T(N) errs by 0.87 to 1.09 of that
 PILOT_SHARE, PILOT_POINTS = 1 / 8, (1024, 4096)  # of the points; the fewest and the most of them
 GLANCE = 256  # points, where the rays are given
@@ -63,6 +66,16 @@ class _Pilot:
         self.cast += more
         return error
 
+    def sure_error(self, points: Points, found: Array, rays: int) -> Generator[int, None, float]:
+        """As ``error``, by as many rays of other azimuths: of the difference's mean square either
+        side has half, however errors fall with the rays."""
+        rows = _spread(len(found), SURE_POINTS)
+        others = replace(self._settings, seed=self._settings.seed + 1)
+        again = _Pilot(self._occlusion, others, self._shortcuts)
+        second = yield from again.transfer(_at(points, rows), rays)
+        self.cast += again.cast
+        return relative_rms(second, found[rows]) / sqrt(2)
+
 
 def effort(
     points: Points, occlusion: Occlusion, settings: Settings, shortcuts: Shortcuts
@@ -81,15 +94,16 @@ def effort(
     few = int(np.clip(len(points.origins) * PILOT_SHARE, *PILOT_POINTS))
     some = _some(points, GLANCE if a_glance else few)
     found = yield from pilot.transfer(some, PILOT_RAYS)
-    error = pilot.error(some, found, PILOT_RAYS)
+    error = yield from pilot.sure_error(some, found, PILOT_RAYS)
     if a_glance:
         noise = error * (PILOT_RAYS / settings.rays) ** FALL
         return Effort(settings.rays, noise, 0, pilot.cast)
-    needed = yield from _needed(pilot, some, found, error, settings.tolerance)
+    aim = AIM * settings.tolerance
+    needed = yield from _needed(pilot, some, found, error, aim)
     rays = int(np.clip(np.ceil(needed), FEWEST, MOST))
     blocked = float((~found.any(axis=1)).mean())
     stops = blocked > MANY_BLOCKED and rays >= FIRST_RAYS * FEWEST_FIRST
-    noise = settings.tolerance * (needed / rays) ** FALL
+    noise = aim * (needed / rays) ** FALL
     return Effort(rays, noise, FIRST_RAYS if stops else 0, pilot.cast)
 
 
@@ -109,8 +123,7 @@ def _needed(
         after = pilot.error(few, (yield from pilot.transfer(few, rays)), rays)
         share = after / max(before, 1e-30)
         fall = _fall(share, rays / PILOT_RAYS)
-        error *= share * float(np.sqrt((1 + 16**FALL) / (1 + 16**fall)))  # see estimate_error
-        return float(rays * (error / tolerance) ** (1 / fall))
+        return float(rays * (share * error / tolerance) ** (1 / fall))
     rays = int(max(needed, FEWEST))
     fewer = yield from pilot.transfer(points, rays)
     missed = relative_rms(fewer, found)
