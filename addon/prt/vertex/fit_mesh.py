@@ -38,31 +38,42 @@ class Mesh:
 
 def mesh_of(corners: Index, positions: Float, areas: Float, count: int) -> Mesh:
     """The mesh of triangles ``corners`` (F, 3) over ``count`` points, positions (F, 3, 3)."""
-    start, end = corners, corners[:, [1, 2, 0]]
-    keys = np.minimum(start, end).astype(np.int64) * count + np.maximum(start, end)
-    found, sides = np.unique(keys.reshape(-1), return_inverse=True)
+    keys = [_keys(corners[:, k], corners[:, (k + 1) % 3], count) for k in range(3)]
+    key = np.stack(keys, axis=1).reshape(-1)
+    order = np.argsort(key, kind="stable")
+    key = key.take(order)
+    is_first = np.append(True, key[1:] != key[:-1])
+    sides = np.empty_like(order)
+    sides[order] = np.cumsum(is_first) - 1
+    starts = np.flatnonzero(is_first)
+    found, uses = key.take(starts), np.diff(starts, append=len(key))
     edges = np.stack([found // count, found % count], axis=1)
-    sides = sides.reshape(-1, 3)
-    by_edge = np.argsort(sides.reshape(-1), kind="stable")
-    uses = np.bincount(sides.reshape(-1), minlength=len(edges))
-    first = (np.cumsum(uses) - uses)[uses == 2]
-    halves = np.stack([by_edge[first], by_edge[first + 1]], axis=1)  # (H, 2) of 3 F
-    triangle, side = halves // 3, halves % 3
-    ends = edges[uses == 2]
-    reversed_ = corners[triangle, side] != ends[:, :1]
-    along, height = (values[triangle, side] for values in _heights(positions, areas))
+    own = np.flatnonzero(uses == 2)
+    first = starts.take(own)
+    halves = order.take(np.stack([first, first + 1]))  # (2, H) of 3 F
+    ends = edges.take(own, 0)
+    flat = corners.reshape(-1)
+    reversed_ = flat.take(halves) != ends[:, 0]
+    along, height = (values.reshape(-1).take(halves) for values in _heights(positions, areas))
     along = np.where(reversed_, 1 - along, along)
-    height = np.maximum(height, NEEDLE * height.sum(axis=1, keepdims=True))
-    jumps = np.concatenate(
-        [-((1 - along) / height).sum(axis=1)[:, None], -(along / height).sum(axis=1)[:, None],
-         1 / height], axis=1)  # fmt: skip
-    tips = corners[triangle, (side + 2) % 3]
-    around = _sides_around(sides, triangle, side, reversed_)
-    own = np.flatnonzero(uses == 2)[:, None]
+    height = 1 / np.maximum(height, NEEDLE * (height[0] + height[1]))
+    towards_first, towards_second = (1 - along) * height, along * height
+    jumps = np.stack([-towards_first.sum(axis=0), -towards_second.sum(axis=0), *height], axis=1)
+    side = halves % 3
+    after, before = halves + np.where(side == 2, -2, 1), halves + np.where(side == 0, 2, -1)
+    tips = flat.take(before)
+    around = [own, *_sides_around(sides.take(after), sides.take(before), reversed_)]
+    hinges = np.stack([ends[:, 0], ends[:, 1], *tips], axis=1)
+    hinge_areas = areas.take(halves // 3).sum(axis=0)
     return Mesh(
-        count, corners, areas, edges, sides, np.concatenate([ends, tips], axis=1), jumps,
-        areas[triangle].sum(axis=1), np.concatenate([own, around], axis=1),
+        count, corners, areas, edges, sides.reshape(-1, 3), hinges, jumps,
+        hinge_areas, np.stack(around, axis=1),
     )  # fmt: skip
+
+
+def _keys(start: Index, end: Index, count: int) -> Index:
+    """One number for each side (F,) from a point to another, whichever comes first."""
+    return np.asarray(np.minimum(start, end) * count + np.maximum(start, end))
 
 
 def unjoined(corners: Index, areas: Float, count: int) -> Mesh:
@@ -96,24 +107,23 @@ def _heights(positions: Float, areas: Float) -> tuple[Float, Float]:
     """For each side (F, 3) of triangles: how far along it the third corner's foot lies, from where
     the side starts, and the corner's height."""
     along, height = np.empty((2, len(positions), 3))
-    for k in range(3):
-        from_, to, tip = (positions[:, (k + i) % 3] for i in range(3))
-        edge = to - from_
-        squared = np.maximum(np.einsum("fc,fc->f", edge, edge), 1e-300)
-        along[:, k] = np.einsum("fc,fc->f", tip - from_, edge) / squared
+    corners = [np.ascontiguousarray(positions[:, k].T) for k in range(3)]
+    sides = [corners[(k + 1) % 3] - corners[k] for k in range(3)]
+    for k, side in enumerate(sides):
+        squared = np.maximum(np.einsum("cf,cf->f", side, side), 1e-300)
+        along[:, k] = -np.einsum("cf,cf->f", sides[k - 1], side) / squared
         height[:, k] = 2 * areas / np.sqrt(squared)
     return along, height
 
 
 def _sides_around(
-    sides: Index, triangle: Index, side: Index, reversed_: npt.NDArray[np.bool_]
-) -> Index:
-    """The other edges (H, 4) of both triangles at an edge: from its first end and its second to
-    the first tip, then to the second; ``reversed_`` (H, 2) where a triangle runs the other way."""
-    towards = sides[triangle, (side + 1) % 3]
-    away = sides[triangle, (side + 2) % 3]
-    from_first, from_second = np.where(reversed_, towards, away), np.where(reversed_, away, towards)
-    return np.stack([from_first[:, 0], from_second[:, 0], from_first[:, 1], from_second[:, 1]], 1)
+    after: Index, before: Index, reversed_: npt.NDArray[np.bool_]
+) -> tuple[Index, Index, Index, Index]:
+    """The other edges (H,) of both triangles at an edge: from its first end and its second to
+    the first tip, then to the second.  ``after`` and ``before`` it (2, H) in each triangle, which
+    runs the other way where ``reversed_`` (2, H)."""
+    from_first, from_second = np.where(reversed_, after, before), np.where(reversed_, before, after)
+    return from_first[0], from_second[0], from_first[1], from_second[1]
 
 
 @dataclass(frozen=True)

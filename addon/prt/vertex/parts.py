@@ -81,7 +81,8 @@ def parts_of(receiver: Receiver, points: Points, may_fit: bool) -> Parts:
     rest.  Only triangles with an area and three different points."""
     whole = Surface.of(receiver)
     rows = points.element_points[element_triangles(receiver)].astype(np.int64)
-    sound = whole.solid & (rows >= 0).all(axis=1) & (rows != rows[:, [1, 2, 0]]).all(axis=1)
+    a, b, c = rows.T
+    sound = whole.solid & (a >= 0) & (b >= 0) & (c >= 0) & (a != b) & (b != c) & (c != a)
     surface = whole
     if not sound.all():
         surface = Surface(*(values[sound] for values in vars(whole).values()))
