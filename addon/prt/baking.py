@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Generator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -59,6 +60,8 @@ class Scene:
     ) -> None:
         self.job, self.world, self.cache, self.meter = job, world, cache, meter
         self._whole = whole
+        self._building = Lock()
+        self._built: Geometry | None = None
         self._keys = Keys(job)
         self._occluders = Parts.of(
             job.occluder_vertices, job.occluder_triangles, job.occluder_starts
@@ -76,9 +79,16 @@ class Scene:
 
     @cached_property
     def occlusion(self) -> Geometry:
-        """Embree over everything, built when the first ray is cast."""
+        """Embree over everything, built when the first ray is cast, by the first of the threads
+        that cast one."""
         if self._whole is not None:
             return self._whole.occlusion
+        with self._building:
+            if self._built is None:
+                self._built = self._build()
+            return self._built
+
+    def _build(self) -> Geometry:
         with self.meter.phase("acceleration structure"):
             # light bounces off the very triangle that a ray meets
             met = self._occluders if self.job.bounces else self.flattened

@@ -1,15 +1,21 @@
 """What a bake skips because it is known, and what its residual mends."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapes
+from prt_baker.addon.prt import baking
 from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt.cache import Cache
 from prt_baker.addon.prt.errors import BakeError
 from prt_baker.addon.prt.layout import Values
 from prt_baker.addon.prt.light import residual
 from prt_baker.addon.prt.light.projection import world_sh
+from prt_baker.addon.prt.light.world import World
+from prt_baker.addon.prt.meter import Meter
 from prt_baker.addon.prt.run import run
 from prt_baker.addon.prt.surface import points
 from prt_baker.addon.prt.tracing import rays, transfer
@@ -92,6 +98,22 @@ def test_what_moves_below_a_floor_changes_nothing_for_it(job):
     ball, floor = rays_of(moved)
     assert ball > 0
     assert floor == 0
+
+
+def test_the_structure_is_built_once_however_many_threads_want_it(job, monkeypatch):
+    built = []
+
+    def slowly(*_):
+        time.sleep(0.05)
+        built.append(rays.Sky())
+        return built[-1]
+
+    monkeypatch.setattr(baking, "occlusion", slowly)
+    scene = baking.Scene(job, World(job, Cache("")), Cache(""), Meter())
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: scene.occlusion, range(8)))
+    assert len(built) == 1
+    assert all(its is built[0] for its in found)
 
 
 def exact(job, result):
