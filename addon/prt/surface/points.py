@@ -250,9 +250,8 @@ def morton_order(positions: npt.NDArray[np.floating[Any]]) -> Index:
     extent = float((positions.max(axis=0) - low).max())
     steps = ((1 << axis_bits) - 1) / extent if extent > 0 else 0.0
     cells = (((positions[:, axis] - low[axis]) * steps).astype(np.int32) for axis in range(3))
-    code = interleaved(cells, axis_bits) << np.uint64(place_bits) | np.arange(
-        count, dtype=np.uint64
-    )
+    code = interleaved(cells, axis_bits) << np.uint64(place_bits)
+    code |= np.arange(count, dtype=np.uint64)
     code.sort()
     return (code & np.uint64((1 << place_bits) - 1)).astype(np.int64)
 

@@ -13,7 +13,7 @@ from .flats import Parts
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-FEWEST = 128  # clusters of things that are all of one size
+FEWEST = 128  # clusters, however few cells the triangles lie in
 DEEPEST = 6  # times that a cube is cut in eight
 CELLS = 22  # along an axis, that a triangle reaches across at most one of, where it is cut
 FLAT = 1e-6  # sin² of the angle between two triangles of one plane
