@@ -141,7 +141,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--rays", type=int, nargs="*", help="a point; at 2,048 it holds 12 GB")
+    parser.add_argument("--rays", type=int, nargs="*", help="a point; all of them are held at once")
     parser.add_argument("--scene", default="", help="only scenes whose name has this")
     asked = parser.parse_args()
     print(HEADER)
