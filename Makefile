@@ -3,7 +3,7 @@
 # make large    the test of 100,000 faces in 2048 x 2048 texels: minutes
 # make venv     .venv/bin/prt-bake and all that it needs, nothing more
 # make package  the extension's zips, one a platform, in dist/
-# make bench    run time against error beside the peers, into docs/benchmarks.md: some minutes;
+# make bench    run time against error beside the peers, into docs/benchmarks.md: half an hour;
 #               make bench-full measures everything, in hours
 # make viewer   a page that shows a baked .glb; GLB=FILE opens one at once
 # make real-blender   the zip in a real Blender under Xvfb (root, Debian)

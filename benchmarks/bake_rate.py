@@ -34,6 +34,7 @@ from prt_baker.addon.prt.meter import Meter
 from prt_baker.addon.prt.parallel import available_cores
 from prt_baker.addon.prt.steps import value_of
 from prt_baker.addon.prt.tracing.rays import Geometry, Mask, Met, Vectors
+from prt_baker.addon.prt.tracing.transfer import NOTHING_ABOVE
 
 SCENES = {
     "torus knot": lambda: scenes.knot(2200, 48),
@@ -78,9 +79,9 @@ class Recording:
         return self.geometry.first_met(origins, directions)
 
 
-def recorded(job: jobs.Job, all_are_cast: bool) -> Recording:
-    """The rays of a bake of ``job``, with the structure that they are cast at; those too that need
-    not be cast, if ``all_are_cast``."""
+def recorded(job: jobs.Job, all_are_cast: bool) -> tuple[Recording, int]:
+    """The rays of a bake of ``job``, with the structure that they are cast at, and how many need
+    not be cast; these too are among them if ``all_are_cast``."""
     with tempfile.TemporaryDirectory() as folder:
         one_thread = replace(job, settings=replace(job.settings, threads=1))
         jobs.write(one_thread, Path(folder))
@@ -90,10 +91,9 @@ def recorded(job: jobs.Job, all_are_cast: bool) -> Recording:
         scene.occlusion = Recording(scene.occlusion)
         if all_are_cast:
             scene.surroundings.horizon = lambda *_: None
-        for index in range(len(job.receivers)):
-            for _ in baking.bake(scene, index):
-                pass
-        return scene.occlusion
+        bakes = [value_of(baking.bake(scene, index)) for index in range(len(job.receivers))]
+        skipped = sum(baked.entry["skipped"].get(NOTHING_ABOVE, 0) for baked in bakes)
+        return scene.occlusion, skipped
 
 
 def bare_loop(rays: Recording, threads: int) -> float:
@@ -117,8 +117,8 @@ def whole_bake(job: jobs.Job) -> tuple[float, float]:
 def row(title: str, scene: scenes.Scene, rays: int, turns: int) -> str:
     """One line of the table: medians of several turns."""
     job, threads = scene.job(peer_ours.settings(rays=rays)), available_cores()
-    cast, every = recorded(job, all_are_cast=False), recorded(job, all_are_cast=True)
-    skips = cast.rays < 0.99 * every.rays
+    cast, skips = recorded(job, all_are_cast=False)
+    every = recorded(job, all_are_cast=True)[0] if skips else cast
     taken = []
     for _ in range(turns):
         bare = bare_loop(every, threads)

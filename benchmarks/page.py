@@ -1,6 +1,6 @@
 """make bench: measure and write docs/benchmarks.md.
 
-The short form measures what takes some ten minutes and keeps the rest of the page as it was.
+The short form measures what takes less than half an hour and keeps the rest of the page as it was.
 """
 
 import argparse
@@ -24,9 +24,9 @@ PACKAGES = ("bpy", "numpy", "embreex", "OpenEXR", "mitsuba", "nilearn")
 
 HEAD = """# Benchmarks
 
-Written by `make bench-full`; `make bench`, a short form of some ten minutes, measures some sections
-again. Each section says where and how it was measured. On a virtual machine figures vary between
-runs by a tenth and more; ratios, whose sides take turns in one run, vary less.
+Written by `make bench-full`; `make bench`, a short form of less than half an hour, measures some
+sections again. Each section says where and how it was measured. On a virtual machine figures vary
+between runs by a tenth and more; ratios, whose sides take turns in one run, vary less.
 """
 
 CURVES = """How long a relative error of the transfer takes (order 3, nine coefficients, relative

@@ -41,7 +41,7 @@ class Clusters:
         places, corners, part_of = _cut(parts)
         keys = _keys(places, corners)
         keys >>= _needless(keys, most)
-        order = _sorted(keys)
+        order = np.argsort(keys, kind="stable")
         part_of = part_of[order]
         starts = _starts(keys[order], part_of, -(-len(corners) // FEWEST))
         cuts = starts[np.searchsorted(starts, np.arange(0, len(corners), CHUNK))]
@@ -139,15 +139,6 @@ def _needless(keys: npt.NDArray[np.uint32], most: int) -> int:
         if np.count_nonzero(np.diff(different >> 3 * depth)) < most:
             return 3 * depth
     return 3 * DEEPEST
-
-
-def _sorted(keys: npt.NDArray[np.uint32]) -> Index:
-    """The order (F,) of ``keys``, equal ones as they stand: by two radix sorts of 16 bits."""
-    order = np.argsort(keys.astype(np.uint16), kind="stable")
-    high = (keys >> 16).astype(np.uint16)
-    if high.any():
-        order = order[np.argsort(high[order], kind="stable")]
-    return np.asarray(order)
 
 
 def _starts(keys: npt.NDArray[np.uint32], part_of: Index, size: int) -> Index:

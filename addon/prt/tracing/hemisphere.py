@@ -150,9 +150,8 @@ class Turn:
 
     def _about_z(self, cosine: Array, sine: Array, values: Array) -> Array:
         """Rows of coefficients (n², P), turned."""
-        turned = np.empty_like(values)
-        c, s = np.ones_like(cosine), np.zeros_like(sine)
-        for m in range(self._order):
+        turned, c, s = values.copy(), cosine, sine
+        for m in range(1, self._order):
             for band in range(m, self._order):
                 even, odd = sh.index(band, m), sh.index(band, -m)
                 turned[even] = c * values[even] - s * values[odd]

@@ -75,8 +75,9 @@ class Horizon:
         local = np.ascontiguousarray(local.transpose(1, 2, 0))
         blocks = nested(local.min(axis=0), local.max(axis=0))
         tangent = np.minimum(steepest(blocks, Things(centres[:2], c.radius, top)), OVERHEAD)
-        cosine = np.cos(tilt) - np.sin(tilt) * tangent  # of the elevation and the tilt, but for
-        shares = np.square(np.maximum(cosine, 0)) / (1 + tangent * tangent)  # a length
+        # the cosine of elevation and tilt together, but for the root of what divides its square
+        cosine = np.cos(tilt) - np.sin(tilt) * tangent
+        shares = np.square(np.maximum(cosine, 0)) / (1 + tangent * tangent)
         its = blocks[0]
         farthest = float(np.ptp(np.append(centres[:2], its.middle, axis=1), axis=1).max())
         slack = 2 * tilt * (2 * farthest + c.radius.max(initial=0) + its.reach.max(initial=0))

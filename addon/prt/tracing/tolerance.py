@@ -49,9 +49,9 @@ class _Pilot:
         self._occlusion, self._settings, self.cast = occlusion, settings, 0
         self._shortcuts = Shortcuts(shortcuts.horizon)
 
-    def transfer(self, points: Points, rays: int) -> Generator[int, None, Array]:
-        """Transfer (P, n²) with ``rays`` a point."""
-        its = replace(self._settings, rays=rays)
+    def transfer(self, points: Points, rays: int, turn: int = 0) -> Generator[int, None, Array]:
+        """Transfer (P, n²) with ``rays`` a point, of other azimuths for another ``turn``."""
+        its = replace(self._settings, rays=rays, seed=self._settings.seed + turn)
         found = np.empty((len(points.origins), its.order**2), np.float32)
         counts = yield from trace_all(
             points, self._occlusion, its, found, shortcuts=self._shortcuts
@@ -70,11 +70,8 @@ class _Pilot:
         """As ``error``, by as many rays of other azimuths: of the difference's mean square either
         side has half, however errors fall with the rays."""
         rows = _spread(len(found), SURE_POINTS)
-        others = replace(self._settings, seed=self._settings.seed + 1)
-        again = _Pilot(self._occlusion, others, self._shortcuts)
-        second = yield from again.transfer(_at(points, rows), rays)
-        self.cast += again.cast
-        return relative_rms(second, found[rows]) / sqrt(2)
+        again = yield from self.transfer(_at(points, rows), rays, turn=1)
+        return relative_rms(again, found[rows]) / sqrt(2)
 
 
 def effort(
