@@ -57,16 +57,19 @@ class Surface:
     @classmethod
     def of(cls, receiver: Receiver) -> "Surface":
         """The surface of ``receiver``, found in pieces that stay in the processor's cache."""
-        vertices, triangles = receiver.vertices.astype(np.float64), np.asarray(receiver.triangles)
+        columns = np.ascontiguousarray(np.asarray(receiver.vertices).T, np.float64)
+        triangles = np.asarray(receiver.triangles)
         count = len(triangles)
         corners, normals = np.empty((count, 3, 3)), np.empty((count, 3))
         double_area = np.empty(count)
         for part in _pieces(count):
-            its = vertices.take(triangles[part], 0)
-            cross = np.cross(its[:, 1] - its[:, 0], its[:, 2] - its[:, 0])
-            double = np.sqrt(np.einsum("fc,fc->f", cross, cross))
-            normals[part] = cross / np.where(double > 0, double, 1)[:, None]
-            corners[part], double_area[part] = its, double
+            its = _corners(columns, triangles[part])
+            cross = _cross(its[1] - its[0], its[2] - its[0])
+            double = np.sqrt(_dot(cross, cross))
+            normals[part] = (cross / np.where(double > 0, double, 1)).T
+            for k in range(3):
+                corners[part, k] = its[k].T
+            double_area[part] = double
         return cls(corners, normals, double_area > 0, 0.5 * double_area)
 
 

@@ -6,7 +6,7 @@ from functools import reduce
 import numpy as np
 import numpy.typing as npt
 
-from ..surface.points import Index
+from ..surface.points import Index, morton_order
 from ..surface.samples import Places
 from ..tracing.buried import buried, rays_for
 from ..tracing.rays import Occlusion
@@ -84,8 +84,9 @@ class Tracer(Caster):
         buried.  Yields the rays cast so far."""
         rays = max(FEWEST, round(self.rays * share))
         origins, normals = yield from self._starts(places)
-        order, found = yield from self.along(origins, normals, rays)
+        order = morton_order(origins.astype(np.float64))
         origins, normals = origins[order], normals[order]
+        found = yield from self.cast_from(origins, normals, rays)
         if not len(found):
             return found, np.zeros(0, bool)
         transfer = found[:, : self._order**2]

@@ -26,7 +26,8 @@ def doubtful(visible: Array, occlusion: Occlusion) -> npt.NDArray[np.bool_]:
     show; none where none can slip."""
     if not occlusion.lets_slip:
         return np.zeros(len(visible), bool)
-    return np.asarray(visible.sum(axis=1) <= NEARLY_DARK * visible.shape[1])
+    count = visible.shape[1]
+    return np.asarray(visible @ np.ones(count, np.float32) <= NEARLY_DARK * count)
 
 
 def confirmed(occlusion: Occlusion, origins: Array, directions: Array) -> Array:
@@ -34,13 +35,22 @@ def confirmed(occlusion: Occlusion, origins: Array, directions: Array) -> Array:
     rays each."""
     if not len(directions):
         return np.zeros(0, np.float32)
-    axis = np.zeros_like(directions)
-    axis[np.arange(len(axis)), np.abs(directions).argmin(axis=1)] = 1
-    along = np.cross(directions, axis)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    across, steps = np.cross(directions, along), BESIDE * np.abs(origins).max(axis=1, keepdims=True)
-    clear = np.zeros(len(directions), np.int32)
-    for angle in np.arange(CASTS, dtype=np.float32) * np.float32(2 * pi / CASTS):
-        sideways = np.cos(angle) * along + np.sin(angle) * across
-        clear -= occlusion.sky_mask(origins + steps * sideways, directions + ASIDE * sideways)
+    along, across = _tangents(directions)
+    steps = BESIDE * np.abs(origins).max(axis=1, keepdims=True)
+    angles = np.arange(CASTS)[:, None, None] * (2 * pi / CASTS)
+    sideways = (np.cos(angles) * along + np.sin(angles) * across).astype(np.float32)
+    starts = (origins + steps * sideways).reshape(-1, 3)
+    towards = (directions + np.float32(ASIDE) * sideways).reshape(-1, 3)
+    clear = -occlusion.sky_mask(starts, towards).reshape(CASTS, -1).sum(axis=0)
     return (2 * clear > CASTS).astype(np.float32)
+
+
+def _tangents(directions: Array) -> tuple[Array, Array]:
+    """Two unit vectors (R, 3) across each of ``directions`` (R, 3), and each other (Duff et al.,
+    Building an Orthonormal Basis, Revisited, JCGT 2017)."""
+    x, y, z = directions.T
+    sign = np.copysign(np.float32(1), z)
+    a = -1 / (sign + z)
+    b = a * x * y
+    along = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=1)
+    return along, np.stack([b, sign + y * y * a, -y], axis=1)

@@ -6,6 +6,7 @@ far cheaper than evaluating the basis for every ray.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import pi
 
 import numpy as np
@@ -37,18 +38,21 @@ def cosine_fibonacci(count: int) -> npt.NDArray[np.float64]:
     )
 
 
+@lru_cache(maxsize=4)  # of the pilots, the bake and the estimate
 def hemisphere_set(count: int, order: int) -> HemisphereSet:
     """``count`` cosine-distributed directions with weights that are exact under an open sky.
 
     Every weight gets the same share of what the set misses of the open transfer: that is the
-    correction ``T + v (T_open - mean Y)`` with v the visible fraction, at no cost.
+    correction ``T + v (T_open - mean Y)`` with v the visible fraction, at no cost.  The arrays are
+    read-only.
     """
     directions = cosine_fibonacci(count)
     values = sh.basis(directions, order)
     missing = sh.open_transfer(np.array([0.0, 0.0, 1.0]), order) - values.mean(axis=0)
-    return HemisphereSet(
-        directions.astype(np.float32), ((values + missing) / count).astype(np.float32)
-    )
+    found = directions.astype(np.float32), ((values + missing) / count).astype(np.float32)
+    for array in found:
+        array.setflags(write=False)
+    return HemisphereSet(*found)
 
 
 @dataclass(frozen=True)
@@ -132,14 +136,19 @@ class RaysInWorld:
         np.matmul(origins, repeat, out=out.reshape(len(origins), repeat.shape[1]))
 
 
+@lru_cache
+def _quarter_turn(order: int) -> Array:
+    """The turn about x (n², n²) of coefficients."""
+    quarter = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    return sh.rotation_matrix(quarter, order).astype(np.float32)
+
+
 class Turn:
     """Turns local coefficients to world axes: Dz(phi) J' Dz(theta) J Dz(azimuth), in which J, the
     quarter turn about x, is a constant."""
 
     def __init__(self, order: int) -> None:
-        quarter = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-        self._order = order
-        self._quarter = sh.rotation_matrix(quarter, order).astype(np.float32)
+        self._order, self._quarter = order, _quarter_turn(order)
 
     def __call__(self, frames: Frames, local: Array) -> Array:
         """World coefficients (P, n²) of ``local`` (P, n²)."""

@@ -70,18 +70,16 @@ class Caster:
     def __init__(self, trace: Trace) -> None:
         self._trace, self.cast = trace, 0
 
-    def along(
-        self, origins: Array, normals: Array, rays: int
-    ) -> Generator[int, None, tuple[Index, Array]]:
-        """What is found (M, K) with ``rays`` a place, the places in the ``order`` (M,) of a Z
-        curve, for the processor's caches; and that order.  Yields the rays cast so far."""
-        order = morton_order(origins.astype(np.float64))
-        before, steps = self.cast, self._trace(origins[order], normals[order], rays)
+    def cast_from(self, origins: Array, normals: Array, rays: int) -> Generator[int, None, Array]:
+        """What is found (M, K) with ``rays`` a place; neighbours are best next to each other.
+        Yields the rays cast so far."""
+        before, steps = self.cast, self._trace(origins, normals, rays)
         while True:
             try:
                 self.cast = before + next(steps)
             except StopIteration as stop:
-                return order, stop.value
+                found: Array = stop.value
+                return found
             yield self.cast
 
 
@@ -111,8 +109,12 @@ class Tracer(Caster):
         starting, facing = starts(self.parts.surface, corners, self.points.normals, inside)
         origins = _rows(self.points.origins[point], starting)
         normals = _rows(self.points.normals[point], facing)
-        order, values = yield from self.along(origins, normals, rays)
+        # the points are in the order of a Z curve
+        order = np.arange(len(point))
+        if len(inside):
+            order = morton_order(origins.astype(np.float64))
         origins, normals = origins[order], normals[order]
+        values = yield from self.cast_from(origins, normals, rays)
         numbers = np.concatenate([point, np.full(len(inside), -1)])[order]
         places = joined([self._homes[point], inside])[order]
         noisier = np.full(len(order), (self.rays / rays) ** FALL)
