@@ -203,13 +203,35 @@ def test_more_columns_are_solved_beside_the_transfer():
     assert np.abs(values[:, 9] - values[:, 0]).max() < 0.05
 
 
-def test_where_a_fit_predicts_samples_badly_points_are_shown_as_they_are(monkeypatch):
-    """A ball that comes out of a larger one, as an eye does: few samples see anything."""
+def eye_in_a_head():
+    """A ball that comes out of a larger one: few samples see anything."""
     (ball, triangles, normals), head = shapes.sphere(28, 56, 0.3), shapes.sphere(48, 96)[:2]
     eye = ball + np.array([0, 0, 0.78]), triangles
-    scene = Bench(shapes.receiver(*eye, normals), *shapes.join(eye, head))
+    return Bench(shapes.receiver(*eye, normals), *shapes.join(eye, head))
+
+
+def test_where_rays_start_follows_from_the_transfer_alone(monkeypatch):
+    """Another HDRI, whose light is in the columns beside it, finds all of them on the tape."""
+    scene = eye_in_a_head()
+    alone, trace = scene.solve(64, 0.035).traced, scene.trace
+
+    def beside(settings, extra):
+        def found(origins, normals, count):
+            values = trace(settings)(origins, normals, count)
+            return np.concatenate([values, np.ones((len(values), extra), np.float32)], axis=1)
+
+        return found
+
+    monkeypatch.setattr(scene, "trace", beside)
+    lit = scene.solve(64, 0.035, extra=3).traced
+    np.testing.assert_array_equal(lit.origins, alone.origins)
+    np.testing.assert_array_equal(lit.rays, alone.rays)
+
+
+def test_where_a_fit_predicts_samples_badly_points_are_shown_as_they_are(monkeypatch):
+    scene = eye_in_a_head()
     solved = scene.solve(64, 0.03)
-    monkeypatch.setattr(values, "WORSE", np.inf)
+    monkeypatch.setattr(values, "WORSE", 1e9)
     fitted = scene.solve(64, 0.03)
     assert (solved.entry["values"]["fitted"], fitted.entry["values"]["fitted"]) == (0, 1)
     assert solved.entry["rays"] == fitted.entry["rays"]

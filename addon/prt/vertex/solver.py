@@ -153,8 +153,7 @@ def _smooth(
     """In which parts (count,), of those with ``first`` samples, a fit to these predicts others
     nearly as well as points would: with a squared relative error of ``of_points`` (count,)."""
     traced = tracer.traced
-    shadowed = traced.values.shape[1] - settings.visibility_order**2
-    lit = traced.values[:, :shadowed].any(axis=1)
+    lit = traced.values[:, : settings.order**2].any(axis=1)
     found = traced[lit & (traced.point < 0) & first[part_of(tracer.parts, traced)]]
     errors = trial.left_out(found)
     return np.asarray(first & (errors.surface <= SMOOTH_ERROR**2 * of_points * errors.size))
