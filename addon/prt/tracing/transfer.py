@@ -283,7 +283,9 @@ class Tracer:
             return 0
         row, ray = np.nonzero(visible[points])
         row = points[row]
-        directions = np.einsum("rij,rj->ri", batch.matrices[row], self._local[ray])
+        x, y, z = self._local[ray].T[:, :, None]
+        matrices = batch.matrices[row]
+        directions = matrices[:, :, 0] * x + matrices[:, :, 1] * y + matrices[:, :, 2] * z
         visible[row, ray] = confirmed(self._occlusion, batch.origins[row], directions)
         return CASTS * len(row)
 
