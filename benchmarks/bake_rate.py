@@ -6,6 +6,7 @@ embreex, in that order and in batches as large as the engine's, to the same stru
 threads as the bake has.  The bake is the engine's whole run in its own process: start, job and
 results on disk, points, acceleration structure, rays, error estimate.  Its work is what it does
 once it runs and has the structure, as the bare loop has: from the mesh's arrays to the values'.
+Its tracing are the phases that cast the rays: from points to coefficients.
 Values are fitted to nothing and no residual is found, whose rays are no part of it.  All take
 turns.
 
@@ -43,9 +44,10 @@ SCENES = {
 }
 RAYS = {"torus knot": [256, 1024, 2048], "cortex": [256, 1024, 4096], "open field": [256, 1024]}
 HEADER = """| scene | points | rays a point | rays | bare embreex loop | whole bake | ratio \
-| its work, ratio | cast of them | its work, of what is cast alone |
-|---|---|---|---|---|---|---|---|---|---|"""
+| its work, ratio | its tracing, ratio | cast of them | its work, of what is cast alone |
+|---|---|---|---|---|---|---|---|---|---|---|"""
 BEFORE = ("light", "acceleration structure")  # phases that come before a bake's work
+CASTING = (*peer_ours.TRACING, "estimate")  # phases of its tracing
 
 
 class Recording:
@@ -104,14 +106,15 @@ def bare_loop(rays: Recording, threads: int) -> float:
     return time.perf_counter() - start
 
 
-def whole_bake(job: jobs.Job) -> tuple[float, float]:
-    """Seconds from the job's arrays to the results' arrays, and of its work alone."""
+def whole_bake(job: jobs.Job) -> tuple[float, float, float]:
+    """Seconds from the job's arrays to the results' arrays, of its work, and of its tracing."""
     start = time.perf_counter()
     with engine.job_folder() as folder:
         results = value_of(engine.run(job, folder))
         whole = time.perf_counter() - start
-    phases = results.report["seconds"].items()
-    return whole, sum(seconds for name, seconds in phases if name not in BEFORE)
+    phases: dict[str, float] = results.report["seconds"]
+    work = sum(seconds for name, seconds in phases.items() if name not in BEFORE)
+    return whole, work, sum(phases.get(name, 0.0) for name in CASTING)
 
 
 def row(title: str, scene: scenes.Scene, rays: int, turns: int) -> str:
@@ -133,7 +136,8 @@ def row(title: str, scene: scenes.Scene, rays: int, turns: int) -> str:
     return (
         f"| {title} | {len(scene.origins):,} | {rays:,} | {every.rays / 1e6:.1f} M "
         f"| {bare / 1e6:.2f} Mrays/s | {whole / 1e6:.2f} Mrays/s | {ratio(0, 1):.2f} "
-        f"| **{ratio(0, 2):.2f}** | {cast.rays / every.rays:.0%} | {ratio(3, 2):.2f} |"
+        f"| **{ratio(0, 2):.2f}** | {ratio(0, 3):.2f} | {cast.rays / every.rays:.0%} "
+        f"| {ratio(4, 2):.2f} |"
     )
 
 
