@@ -175,7 +175,8 @@ def main() -> None:
                 lines.append(line)
                 print(line.title, line.errors, file=sys.stderr, flush=True)
             print("\n".join(benchmark.tables(lines)))
-            print(f"Cycles' noise, not in these figures: {100 * benchmark.noise:.1f} %\n", flush=True)
+            print(f"Cycles' noise, not in these figures: {100 * benchmark.noise:.1f} %")
+            print(flush=True)
     sys.stdout.flush()
     os._exit(0)  # Blender may crash in its own clean-up at exit
 
