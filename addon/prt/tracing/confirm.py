@@ -39,9 +39,10 @@ def confirmed(occlusion: Occlusion, origins: Array, directions: Array) -> Array:
     steps = BESIDE * np.abs(origins).max(axis=1, keepdims=True)
     angles = np.arange(CASTS)[:, None, None] * (2 * pi / CASTS)
     sideways = (np.cos(angles) * along + np.sin(angles) * across).astype(np.float32)
-    starts = (origins + steps * sideways).reshape(-1, 3)
-    towards = (directions + np.float32(ASIDE) * sideways).reshape(-1, 3)
-    clear = -occlusion.sky_mask(starts, towards).reshape(CASTS, -1).sum(axis=0)
+    starts: Array = (origins + steps * sideways).astype(np.float32)
+    towards = directions + np.float32(ASIDE) * sideways
+    mask = occlusion.sky_mask(starts.reshape(-1, 3), towards.reshape(-1, 3))
+    clear = -mask.reshape(CASTS, -1).sum(axis=0)
     return (2 * clear > CASTS).astype(np.float32)
 
 
