@@ -26,7 +26,6 @@ from pathlib import Path
 import numpy as np
 import peer_ours
 import scenes
-from prt_baker.addon import engine
 from prt_baker.addon.prt import baking
 from prt_baker.addon.prt import job as jobs
 from prt_baker.addon.prt.cache import Cache
@@ -47,7 +46,7 @@ HEADER = """| scene | points | rays a point | rays | bare embreex loop | whole b
 | its work, ratio | its tracing, ratio | cast of them | its work, of what is cast alone |
 |---|---|---|---|---|---|---|---|---|---|---|"""
 BEFORE = ("light", "acceleration structure")  # phases that come before a bake's work
-CASTING = (*peer_ours.TRACING, "estimate")  # phases of its tracing
+ESTIMATE = "estimate"  # the phase that casts rays after the others
 
 
 class Recording:
@@ -106,26 +105,24 @@ def bare_loop(rays: Recording, threads: int) -> float:
     return time.perf_counter() - start
 
 
-def whole_bake(job: jobs.Job) -> tuple[float, float, float]:
+def whole_bake(scene: scenes.Scene, chosen: jobs.Settings) -> tuple[float, float, float]:
     """Seconds from the job's arrays to the results' arrays, of its work, and of its tracing."""
-    start = time.perf_counter()
-    with engine.job_folder() as folder:
-        results = value_of(engine.run(job, folder))
-        whole = time.perf_counter() - start
-    phases: dict[str, float] = results.report["seconds"]
+    baked = peer_ours.bake(scene, chosen)
+    phases: dict[str, float] = baked.report["seconds"]
     work = sum(seconds for name, seconds in phases.items() if name not in BEFORE)
-    return whole, work, sum(phases.get(name, 0.0) for name in CASTING)
+    return baked.seconds, work, baked.tracing + phases.get(ESTIMATE, 0.0)
 
 
 def row(title: str, scene: scenes.Scene, rays: int, turns: int) -> str:
     """One line of the table: medians of several turns."""
-    job, threads = scene.job(peer_ours.settings(rays=rays)), available_cores()
+    chosen, threads = peer_ours.settings(rays=rays), available_cores()
+    job = scene.job(chosen)
     cast, skips = recorded(job, all_are_cast=False)
     every = recorded(job, all_are_cast=True)[0] if skips else cast
     taken = []
     for _ in range(turns):
-        bare = bare_loop(every, threads)
-        taken.append((bare, *whole_bake(job), bare_loop(cast, threads) if skips else bare))
+        bare, bake = bare_loop(every, threads), whole_bake(scene, chosen)
+        taken.append((bare, *bake, bare_loop(cast, threads) if skips else bare))
     bare, whole = (
         every.rays / statistics.median(column) for column in [*zip(*taken, strict=True)][:2]
     )

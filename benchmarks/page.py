@@ -106,7 +106,7 @@ SCALE = """A displaced sheet under a thousand rocks, ten million triangles toget
 RATE = """A whole bake, from arrays to arrays in the engine's own process, beside a bare embreex
 loop over the same rays, in the same order, with the same flags and threads, taking turns. *Its
 work* is without what the loop is spared too: the start of a process, files and the acceleration
-structure, which take half a second and more, and a small mesh (*cortex*) is traced in less; *its
+structure, which take some tenths of a second, and a small mesh (*cortex*) is traced in less; *its
 tracing* makes the rays of the points, casts them and sums the coefficients. On the open field most
 rays are known to reach the sky: the first ratios are to a bare loop over all of them, the last to
 one over those that are cast.

@@ -11,6 +11,7 @@ from math import pi
 import numpy as np
 import numpy.typing as npt
 
+from .hemisphere import frames
 from .rays import Occlusion
 
 Array = npt.NDArray[np.float32]
@@ -35,23 +36,10 @@ def confirmed(occlusion: Occlusion, origins: Array, directions: Array) -> Array:
     rays each."""
     if not len(directions):
         return np.zeros(0, np.float32)
-    along, across = _tangents(directions)
-    steps = BESIDE * np.abs(origins).max(axis=1, keepdims=True)
-    angles = np.arange(CASTS)[:, None, None] * (2 * pi / CASTS)
-    sideways = (np.cos(angles) * along + np.sin(angles) * across).astype(np.float32)
-    starts: Array = (origins + steps * sideways).astype(np.float32)
-    towards = directions + np.float32(ASIDE) * sideways
-    mask = occlusion.sky_mask(starts.reshape(-1, 3), towards.reshape(-1, 3))
-    clear = -mask.reshape(CASTS, -1).sum(axis=0)
+    angles = np.repeat(np.arange(CASTS) * (2 * pi / CASTS), len(directions))
+    starts, towards = (np.tile(values, (CASTS, 1)) for values in (origins, directions))
+    sideways = frames(towards, angles).matrices()[:, :, 0]
+    starts += BESIDE * np.abs(starts).max(axis=1, keepdims=True) * sideways
+    towards += ASIDE * sideways
+    clear = -occlusion.sky_mask(starts, towards).reshape(CASTS, -1).sum(axis=0)
     return (2 * clear > CASTS).astype(np.float32)
-
-
-def _tangents(directions: Array) -> tuple[Array, Array]:
-    """Two unit vectors (R, 3) across each of ``directions`` (R, 3), and each other (Duff et al.,
-    Building an Orthonormal Basis, Revisited, JCGT 2017)."""
-    x, y, z = directions.T
-    sign = np.copysign(np.float32(1), z)
-    a = -1 / (sign + z)
-    b = a * x * y
-    along = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=1)
-    return along, np.stack([b, sign + y * y * a, -y], axis=1)
