@@ -130,7 +130,8 @@ def test_parts_hold_every_point_once_and_are_no_larger_towards_the_end(count, ea
     where = at(np.zeros((count, 3)), np.tile(UP, (count, 1)))
     settings = Settings(rays=each)
     tracer = transfer.Tracer(where, rays.Sky(), settings, transfer.Shortcuts(), None)
-    groups = [part.groups for part in tracer.parts()]
+    (whole,) = tracer.open_rays.pieces()
+    groups = [part.groups for part in tracer.parts(tracer.open_rays.find(whole))]
     sizes = [len(part) for part in groups]
     assert np.array_equal(np.concatenate(groups), np.arange(-(-count // transfer.GROUP)))
     assert sizes == sorted(sizes, reverse=True)

@@ -70,12 +70,12 @@ class Frames:
         """Rotations (P, 3, 3) from local to world; the third column is the normal."""
         ct, st, cp, sp = self.cos_theta, self.sin_theta, self.cos_phi, self.sin_phi
         ca, sa = self.cos_azimuth, self.sin_azimuth
-        tangent = np.stack([ct * cp, ct * sp, -st], axis=1)
-        bitangent = np.stack([-sp, cp, np.zeros_like(cp)], axis=1)
-        normal = np.stack([st * cp, st * sp, ct], axis=1)
-        x = ca[:, None] * tangent + sa[:, None] * bitangent
-        y = ca[:, None] * bitangent - sa[:, None] * tangent
-        return np.stack([x, y, normal], axis=2)
+        x, y = ct * cp, ct * sp  # of the tangent before it is turned
+        rows = np.empty((3, 3, len(ct)), np.float32)
+        rows[0] = ca * x - sa * sp, -ca * sp - sa * x, st * cp
+        rows[1] = ca * y + sa * cp, ca * cp - sa * y, st * sp
+        rows[2] = -ca * st, sa * st, ct
+        return np.ascontiguousarray(rows.transpose(2, 0, 1))
 
     def __getitem__(self, part: slice) -> "Frames":
         return Frames(*(values[part] for values in vars(self).values()))
@@ -83,19 +83,13 @@ class Frames:
 
 def frames(normals: npt.ArrayLike, azimuth: npt.ArrayLike) -> Frames:
     """Frames about unit ``normals`` (P, 3), turned by ``azimuth`` (P,) radians about them."""
-    n, angle = np.asarray(normals, np.float64), np.asarray(azimuth, np.float64)
-    sine = np.hypot(n[:, 0], n[:, 1])
-    at_pole = sine == 0
-    divisor = np.where(at_pole, 1, sine)
-    values = (
-        n[:, 2],
-        sine,
-        np.where(at_pole, 1, n[:, 0] / divisor),
-        np.where(at_pole, 0, n[:, 1] / divisor),
-        np.cos(angle),
-        np.sin(angle),
-    )
-    return Frames(*(v.astype(np.float32) for v in values))
+    n, angle = np.asarray(normals, np.float64), np.asarray(azimuth, np.float32)
+    x, y = n[:, 0], n[:, 1]
+    sine = np.sqrt(x * x + y * y)
+    at_pole = sine == 0  # there phi is 0
+    divisor = sine + at_pole
+    values = n[:, 2], sine, (x + at_pole) / divisor, y / divisor, np.cos(angle), np.sin(angle)
+    return Frames(*(np.asarray(v, np.float32) for v in values))
 
 
 class RaysInWorld:

@@ -39,8 +39,13 @@ class Horizon:
         Sectors are counted from the tangent of ``hemisphere.frames``.  Their mean is the share of a
         cosine-distributed set that needs no ray.
         """
-        places, its_normals = np.asarray(origins, np.float64), np.asarray(normals, np.float64)
-        its_normals = its_normals / np.linalg.norm(its_normals, axis=2, keepdims=True)
+        places, its_normals = np.asarray(origins, np.float64), np.asarray(normals)
+        if len(places) and (its_normals == its_normals[0, 0]).all():
+            each = places.reshape(-1, places.shape[1] // parts, 3)
+            frame = _frames(its_normals[0, :1].astype(np.float64))[0]
+            return self._sector_shares(each, frame, 0.0).reshape(-1, parts, SECTORS)
+        its_normals = its_normals.astype(np.float64)
+        its_normals /= np.linalg.norm(its_normals, axis=2, keepdims=True)
         axis = its_normals.sum(axis=1)
         axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-30)
         nearest = np.einsum("bkc,bc->bk", its_normals, axis).min(axis=1)
@@ -125,9 +130,10 @@ def _common_frames(normals: Float) -> Float:
 
 
 def _frames(normals: Float) -> Float:
-    """Tangents, bitangents and ``normals`` (N, 3), in rows (N, 3, 3)."""
-    matrices = frames(normals, np.zeros(len(normals))).matrices()
-    return np.asarray(matrices.transpose(0, 2, 1), np.float64)
+    """Tangents, bitangents and ``normals`` (N, 3), in rows (N, 3, 3) of unit length: a cosine that
+    rounding takes from 1 makes an angle of its root."""
+    rows = frames(normals, np.zeros(len(normals))).matrices().transpose(0, 2, 1).astype(np.float64)
+    return np.asarray(rows / np.linalg.norm(rows, axis=2, keepdims=True))
 
 
 def _alike(frame: Float) -> tuple[npt.NDArray[np.int64], list[int]]:

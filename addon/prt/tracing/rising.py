@@ -96,10 +96,11 @@ def _raise(found: Float, box: Index, middle: Float, half: Float, tangent: Float)
     """Raise the sectors of ``found`` (B, SECTORS) that lie within ``half`` of ``middle`` (P,)
     radians to ``tangent`` (P,) at least, in the rows ``box`` (P,)."""
     to_sectors = SECTORS / (2 * pi)
-    first = np.floor((middle - half) * to_sectors).astype(np.int64)
-    last = np.floor((middle + half) * to_sectors).astype(np.int64)
-    count = np.minimum(last - first + 1, SECTORS)
-    ends = np.cumsum(count)
-    sector = np.arange(count.sum()) + np.repeat(first - ends + count, count)
-    place = np.repeat(box * SECTORS, count) + sector % SECTORS
-    np.maximum.at(found.reshape(-1), place, np.repeat(tangent, count))
+    sector = np.floor((middle - half) * to_sectors).astype(np.int64)
+    more = np.floor((middle + half) * to_sectors).astype(np.int64) - sector
+    row, more = box * SECTORS, np.minimum(more, SECTORS - 1)
+    while len(row):
+        np.maximum.at(found.reshape(-1), row + (sector & SECTORS - 1), tangent)
+        left = np.flatnonzero(more > 0)
+        row, tangent = row.take(left), tangent.take(left)
+        sector, more = sector.take(left) + 1, more.take(left) - 1

@@ -5,11 +5,13 @@ radiance of a white surface, so 1/pi is inside and the surface's albedo is not.
 """
 
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, wait
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import islice
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +25,7 @@ from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
 from .horizon import Horizon
 from .looking import Look, Shown, Split
 from .open_rays import Alike, OpenRays, turns
-from .rays import Mask, Occlusion
+from .rays import BLOCKED, Mask, Occlusion
 from .visibility import VisibilitySet
 
 Array = npt.NDArray[np.float32]
@@ -35,6 +37,7 @@ BATCH_RAYS = 32768
 PARTS = 16  # of the points that are left, so that threads end together, but
 PART_RAYS = 1 << 17, 1 << 18  # in a part no fewer and no more
 FEWEST_PARTS = 4  # of few rays, too
+AHEAD = 2  # pieces whose horizon is found while others are traced
 MOST_GROUPS = 1024  # in a part
 CLOSED = 4  # every so many-th ray is cast, of those that a mask is asked for
 FEWEST_TRACED = 64, 16  # every so many-th, at least, counts: where sums are all, and else
@@ -126,20 +129,21 @@ class Tracer:
         wants_each = (gather, shortcuts.bits, shortcuts.look, self._seen_sh)  # ray of a point
         self._sums_only = all(want is None for want in wants_each)
         self._buffers = threading.local()
+        self._left = len(points.origins)  # in no part yet
 
-    def parts(self) -> Iterator[Alike]:
-        """Some groups of points each, neighbours where they can be; fewer and fewer towards the
-        end."""
-        left = len(self.points.origins)
-        low, high = min(PART_RAYS[0], left * self.rays // FEWEST_PARTS), PART_RAYS[1]
-        for alike in self.open_rays.alike():
+    def parts(self, found: list[Alike]) -> Iterator[Alike]:
+        """Of what was ``found`` of a piece, some groups of points each, neighbours where they can
+        be; fewer and fewer towards the end."""
+        total = len(self.points.origins) * self.rays
+        low, high = min(PART_RAYS[0], total // FEWEST_PARTS), PART_RAYS[1]
+        for alike in found:
             groups = alike.groups
             while len(groups):
-                rays = int(np.clip(left * self.rays // PARTS, low, high))
+                rays = int(np.clip(self._left * self.rays // PARTS, low, high))
                 size = max(4, min(MOST_GROUPS, rays // (GROUP * self._traced(alike))) // 4 * 4)
                 yield replace(alike, groups=groups[:size])
                 groups = groups[size:]
-                left -= GROUP * size
+                self._left -= GROUP * size
 
     def _traced(self, alike: Alike) -> int:
         """About how many rays of each of these points are traced, so that parts and batches take
@@ -251,15 +255,16 @@ class Tracer:
             visible[:] = self._sky(self._in_world, batch.origins, batch.matrices, first)
             return visible.size
         azimuth = self._azimuth_turns[batch.numbers]
-        closed = ~self.open_rays.mask(batch.numbers, self._direction_turns, azimuth, first)
+        closed = self.open_rays.may_be_blocked(batch.numbers, self._direction_turns, azimuth, first)
         rest = np.flatnonzero(closed)
         point = np.repeat(np.arange(len(closed)), np.count_nonzero(closed, axis=1))
         directions = self._array("directions", (closed.size, 3))
         self._in_world.directions(batch.matrices, directions, first)
         mask = self._occlusion.sky_mask(batch.origins.take(point, 0), directions.take(rest, 0))
-        found = np.ones(closed.size, np.float32)
-        found[rest] = -mask
-        visible[:] = found.reshape(closed.shape)
+        found = self._array("found", closed.shape)
+        found.fill(1)
+        found.reshape(-1)[rest.take(np.flatnonzero(mask == BLOCKED))] = 0
+        visible[:] = found
         return len(rest)
 
     def _see_first(self, batch: _Few, visible: Array) -> Counts:
@@ -360,14 +365,21 @@ def trace_all(
     )
     counts: Counts = Counter()
     pool = workers(settings.threads)
+    pieces = iter(tracer.open_rays.pieces())
+    at_work = deque[Future[Any]]()
+
+    def find_more(count: int) -> None:
+        at_work.extend(pool.submit(tracer.open_rays.find, p) for p in islice(pieces, count))
+
     try:
-        for _ in pool.map(tracer.open_rays.find, tracer.open_rays.pieces()):
-            yield 0
-        pending = {pool.submit(tracer.trace, part, out) for part in tracer.parts()}
-        while pending:
-            done, pending = wait(pending, return_when=FIRST_COMPLETED)
-            for future in done:
-                counts += future.result()
+        find_more(AHEAD)
+        while at_work:
+            done = at_work.popleft().result()  # the others are taken up in this order
+            if isinstance(done, Counter):
+                counts += done
+            else:
+                at_work.extend(pool.submit(tracer.trace, p, out) for p in tracer.parts(done))
+                find_more(1)
             yield counts[CAST] + counts[MAP_RAYS]
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
