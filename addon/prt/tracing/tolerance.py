@@ -67,11 +67,16 @@ class _Pilot:
         return error
 
     def sure_error(self, points: Points, found: Array, rays: int) -> Generator[int, None, float]:
-        """As ``error``, by as many rays of other azimuths: of the difference's mean square either
-        side has half, however errors fall with the rays."""
+        """As ``error``, by as many rays of other azimuths, however errors fall with the rays."""
         rows = _spread(len(found), SURE_POINTS)
         again = yield from self.transfer(_at(points, rows), rays, turn=1)
-        return relative_rms(again, found[rows]) / sqrt(2)
+        return _error_of_two(again, found[rows])
+
+
+def _error_of_two(first: Array, second: Array) -> float:
+    """The relative RMS error of two that err alike (P, n²): of their difference's mean square
+    either has half."""
+    return relative_rms(first, second) / sqrt(2)
 
 
 def effort(
@@ -86,15 +91,17 @@ def effort(
     """
     if not len(points.origins):
         return Effort(FEWEST if settings.tolerance else settings.rays)
-    a_glance = not settings.tolerance  # whose points have no neighbours to share a horizon with
-    pilot = _Pilot(occlusion, settings, Shortcuts() if a_glance else shortcuts)
-    few = int(np.clip(len(points.origins) * PILOT_SHARE, *PILOT_POINTS))
-    some = _some(points, GLANCE if a_glance else few)
+    count = len(points.origins)
+    if not settings.tolerance:  # a glance, at points too far apart to share a horizon
+        pilot = _Pilot(occlusion, settings, Shortcuts())
+        twice = _at(points, np.repeat(_spread(count, GLANCE), 2))
+        found = yield from pilot.transfer(twice, PILOT_RAYS)
+        noise = _error_of_two(found[::2], found[1::2]) * (PILOT_RAYS / settings.rays) ** FALL
+        return Effort(settings.rays, noise, 0, pilot.cast)
+    pilot = _Pilot(occlusion, settings, shortcuts)
+    some = _at(points, _spread(count, int(np.clip(count * PILOT_SHARE, *PILOT_POINTS))))
     found = yield from pilot.transfer(some, PILOT_RAYS)
     error = yield from pilot.sure_error(some, found, PILOT_RAYS)
-    if a_glance:
-        noise = error * (PILOT_RAYS / settings.rays) ** FALL
-        return Effort(settings.rays, noise, 0, pilot.cast)
     aim = AIM * settings.tolerance
     needed = yield from _needed(pilot, some, found, error, aim)
     rays = int(np.clip(np.ceil(needed), FEWEST, MOST))
@@ -136,11 +143,6 @@ def _fall(share: float, times: float) -> float:
     seen = -float(np.log(max(share, 1e-6))) / lever
     sure, usual = (lever / DOUBT_OF_SHARE) ** 2, DOUBT_OF_FALL**-2
     return float(np.clip((sure * seen + usual * FALL) / (sure + usual), *STEEPNESS))
-
-
-def _some(points: Points, places: int) -> Points:
-    """At most ``places`` of the points, evenly chosen."""
-    return _at(points, _spread(len(points.origins), places))
 
 
 def _spread(count: int, places: int) -> npt.NDArray[np.int64]:

@@ -35,7 +35,7 @@ Counts = Counter[str]
 
 BATCH_RAYS = 32768
 PARTS = 16  # of the points that are left, so that threads end together, but
-PART_RAYS = 1 << 17, 1 << 18  # in a part no fewer and no more
+PART_RAYS = 1 << 16, 1 << 18  # in a part no fewer and no more
 FEWEST_PARTS = 4  # of few rays, too
 AHEAD = 2  # pieces whose horizon is found while others are traced
 MOST_GROUPS = 1024  # in a part
