@@ -104,7 +104,7 @@ def test_a_linear_function_is_found_from_few_samples():
     values = (origins @ [[1.0], [2], [0]] + 3).astype(np.float32)
     samples = samples_of(mesh, places, values, surface)
     solver = fit.Fit(mesh, np.zeros(mesh.count, np.int64), 1)
-    found = solver.solve(samples, np.array([0.1]))
+    found = solver.solve(samples, np.array([[0.1, 0.1]]), 1)
     missed = found - (receiver.vertices @ [[1.0], [2], [0]] + 3)
     assert np.sqrt((missed**2).mean()) < 0.01
 
@@ -121,7 +121,7 @@ def test_more_noise_takes_a_larger_weight():
             samples_of(mesh, places, (smooth + noise * random).astype(np.float32), surface),
             np.zeros(mesh.count, np.int64),
             1,
-        )[0][0]
+        )[0][0, 1]
         for noise in (1e-3, 1.0)
     ]
     assert weights[0] < weights[1]
@@ -140,9 +140,31 @@ def test_samples_left_out_tell_the_error():
     parts = np.zeros(mesh.count, np.int64)
     samples = samples_of(mesh, places, at(places), surface)
     weights, missed = fit.best_weights(mesh, samples, parts, 1)
-    found = fit.Fit(mesh, parts, 1).solve(samples, weights)
+    found = fit.Fit(mesh, parts, 1).solve(samples, weights, 1)
     error = ((fit_mesh.interpolated(mesh, tests, found) - at(tests)) ** 2).mean()
     assert missed[0] == pytest.approx(error, rel=0.4)
+
+
+def test_a_crease_is_kept_and_the_noise_beside_it_is_not(monkeypatch):
+    """The second fit errs far less than the first, whose weight is one for both."""
+    receiver = flat(20)
+    mesh, surface = mesh_of(receiver)
+    places = random_places(surface.areas, 900, 0)
+
+    def at(positions):
+        return np.abs(positions[:, :1] - 0.5).astype(np.float32)
+
+    origins = np.einsum("pk,pkc->pc", places.barycentric, surface.corners[places.triangles])
+    noise = 0.02 * np.random.default_rng(3).normal(size=(len(places), 1))
+    samples = samples_of(mesh, places, (at(origins) + noise).astype(np.float32), surface)
+    parts, errors = np.zeros(mesh.count, np.int64), []
+    for _ in range(2):
+        weights, _ = fit.best_weights(mesh, samples, parts, 1)
+        found = fit.Fit(mesh, parts, 1).solve(samples, weights, 1)
+        errors.append(np.sqrt(np.mean((found - at(receiver.vertices)) ** 2)))
+        monkeypatch.setattr(fit, "STIFFER", (1.0,))
+        monkeypatch.setattr(fit.Fit, "_stiffness", lambda *_: 1.0)
+    assert errors[0] < 0.8 * errors[1]
 
 
 def test_an_excerpt_is_the_mesh_of_its_triangles():

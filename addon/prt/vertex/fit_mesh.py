@@ -167,6 +167,18 @@ def jump_form(mesh: Mesh, weights: Float) -> Quadratic:
     return Quadratic(diagonal, edges, energy * c * d)
 
 
+def bends(mesh: Mesh, values: Array) -> Float:
+    """For each hinge (H,) the squared area times the mean square of the gradient's jump of
+    ``values`` (P, K)."""
+    found = np.empty(len(mesh.hinges))
+    for start in range(0, len(found), ROWS):
+        its = slice(start, start + ROWS)
+        hinges, jumps = mesh.hinges[its], mesh.jumps[its].astype(np.float32)
+        jump = sum(jumps[:, k : k + 1] * values.take(hinges[:, k], 0) for k in range(4))
+        found[its] = np.square(jump).mean(axis=1) * mesh.hinge_areas[its] ** 2
+    return found
+
+
 class Spread:
     """Samples at ``places`` (S,) with ``weights`` (S,), spread over the corners of their triangles.
     All but their values is found once."""

@@ -10,11 +10,12 @@ import numpy.typing as npt
 from .. import sh
 from ..job import Settings
 from ..surface.points import Float, Index, Points
-from .fit import WEIGHTS, Fit, Samples, best_weights
+from .fit import STIFFER, WEIGHTS, Fit, Samples, best_weights
 from .fit_mesh import interpolated
 from .parts import Parts, buried_points
 from .traced import Array, Mask, Traced, part_of
 
+NEAR, NEAREST = 0.3, (3e-4, 3e-3)  # of the noise may a fit err, but no less and no more
 TRIAL = (1.0, 0.1)  # weights that tell whether a fit is promising
 WORSE = 1.5  # times the mean square that points miss: more than a fit loses by samples left out
 
@@ -93,16 +94,21 @@ class Values:
         """What a fit to ``traced`` misses where samples are left out, without their own noise."""
         samples, _ = self._samples(traced)
         transfer = replace(samples, values=samples.values[:, : self._order**2])
-        _, missed = self._best_weights(transfer, TRIAL)
+        _, missed = self._best_weights(transfer, TRIAL, ())
         nothing = np.zeros((self._parts.mesh.count, 1), np.float32)
         return self._errors(traced, samples, missed, nothing)
 
     def _best_weights(
-        self, samples: Samples, weights: tuple[float, ...] = WEIGHTS
+        self,
+        samples: Samples,
+        weights: tuple[float, ...] = WEIGHTS,
+        stiffer: tuple[float, ...] = STIFFER,
     ) -> tuple[Float, Float]:
-        parts = self._parts
-        of, count, threads = parts.of_points, parts.count, self.threads
-        return best_weights(parts.mesh, samples, of, count, weights=weights, threads=threads)
+        parts, threads = self._parts, self.threads
+        of, count = parts.of_points, parts.count
+        return best_weights(
+            parts.mesh, samples, of, count, weights=weights, stiffer=stiffer, threads=threads
+        )
 
     def _samples(self, traced: Traced) -> tuple[Samples, Array]:
         """What is fitted to, the deviation of ``traced`` from an open sky's transfer that is dimmed
@@ -130,7 +136,8 @@ class Values:
         columns_and_noise = [samples.values, noise[:, None].astype(np.float32)]
         samples = replace(samples, values=np.concatenate(columns_and_noise, axis=1))
         fit = Fit(mesh, parts.of_points, parts.count, self.threads)
-        values = fit.solve(samples, weights)
+        near = float(np.clip(NEAR * self._noise, *NEAREST))
+        values = fit.solve(samples, weights, columns, rough=1, tolerance=near)
         self.fit = fit if self._is_fitted_again else None
         self._fit_errors = self._errors(traced, samples, missed, values[:, -1:])
         values[:, :columns] += dimmed
