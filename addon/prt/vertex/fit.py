@@ -9,7 +9,7 @@ weight that predicts samples which were left out best.
 Shadows bend values at few edges and hardly anywhere else.  A square holds a large jump too much
 and noise too little, so a first fit tells how far the values bend at each edge, and a second one
 holds it by a weight that falls with that (the reweighted squares of a penalty that grows as the
-logarithm).  At equal rays that takes another tenth to fifth of the error.
+logarithm).  At equal rays that takes a tenth of the error, a fifth at most.
 """
 
 from collections.abc import Callable
