@@ -347,7 +347,7 @@ class Work(Bake[Solved]):
 
     def _found(self) -> Generator[int, None, Solved]:
         """Values of the points.  Yields the rays cast so far."""
-        return solve(
+        solved = yield from solve(
             self._receiver,
             self._points,
             self._trace,
@@ -356,6 +356,9 @@ class Work(Bake[Solved]):
             rays=self._effort.rays,
             noise=self._effort.noise,
         )
+        if self._scene.world.exact is not None:
+            self._scene.world.exact.make_up(solved.values, solved.lost)
+        return solved
 
     def interpolation_error(self) -> Generator[int, None, float]:
         """About how wrong values of the points alone would be between them, relative to all, from

@@ -43,6 +43,14 @@ class ExactWorld:
     radiance_sh: Float
     lights: Float
 
+    def make_up(self, values: Array, lost: Array) -> None:
+        """Add to the residuals of ``values`` (P, n² + 3 turns + peaks, and more) what they miss of
+        the transfer's light since it has ``lost`` so much (P, n²)."""
+        coefficients = lost.shape[1]
+        for k, radiance in enumerate(self.radiance_sh):
+            place = slice(coefficients + 3 * k, coefficients + 3 * k + 3)
+            values[:, place] += lost @ radiance[:coefficients].astype(np.float32)
+
     def leave_residuals(self, values: Array, coefficients: int, sign: float = 1.0) -> None:
         """Turn the gathered exit radiances of ``values`` (P, n² + 3 turns + peaks, and more) into
         what the transfer misses of them; in the first turn, the peaks too.  Back with a ``sign`` of

@@ -211,18 +211,23 @@ class Fit:
         columns: int,
         rough: int = 0,
         tolerance: float = TOLERANCE,
-    ) -> Array:
+    ) -> tuple[Array, Array]:
         """Values (P, K) at the points that fit those of the samples to within this ``tolerance``,
-        with each part's ``weights`` (count, 2) of both fits; the first ``columns`` tell which edges
-        are held less, and the last ``rough`` ones are as near as they come meanwhile."""
+        with each part's ``weights`` (count, 2) of both fits.  Fitted twice are the first
+        ``columns``, as they bend, and the last ``rough`` ones, which are as near as they come
+        meanwhile; what lies between, the light of one world, bends at other edges.  And what the
+        second fit took from the first ``columns`` (P, columns)."""
         data, right, guess = self._sides(samples)
-        self._hold(data, self._of_parts(weights[:, 0]))
-        first = self._system.solve(right[:, :columns], guess[:, :columns], FIRST)
+        self._first = data, self._of_parts(weights[:, 0])
+        self._hold(*self._first)
+        is_rough = np.arange(right.shape[1]) >= right.shape[1] - rough
+        twice = is_rough | (np.arange(right.shape[1]) < columns)
+        found = self._system.solve(right, guess, np.where(twice, FIRST, tolerance))
+        first = found[:, :columns].copy()
         self._hold(data, self._of_parts(weights[:, 1]) * self._stiffness(first))
-        of_columns = np.full(right.shape[1], tolerance)
-        of_columns[right.shape[1] - rough :] = np.inf
-        guess = np.concatenate([first, guess[:, columns:]], axis=1)
-        return self._system.solve(right, guess, of_columns)
+        near = np.where(is_rough, np.inf, tolerance)[twice]
+        found[:, twice] = self._system.solve(right[:, twice], found[:, twice], near)
+        return found, first - found[:, :columns]
 
     def _hold(self, data: Quadratic, weights: Float) -> None:
         """Make it the system of ``data`` with such a weight (H,) at each hinge."""
@@ -242,8 +247,9 @@ class Fit:
         return np.asarray((1 + SHARP) / (squared / usual + SHARP))
 
     def again(self, values: Array, tolerance: float) -> Array:
-        """As ``solve`` did last, for other ``values`` (S, K) of the same samples, to within this
-        ``tolerance``."""
+        """The first fit to other ``values`` (S, K) of the samples that were fitted last, to within
+        this ``tolerance``."""
+        self._hold(*self._first)
         right = self._spread.sums(values)
         return self._system.solve(right, self._spread.averages(right), tolerance)
 

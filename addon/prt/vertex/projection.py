@@ -1,7 +1,7 @@
 """Values of points from what more was found at the places that were traced: light of bounces.
 
 What was traced first has decided how the points are found: as they are, or by a fit with some
-weight.  Light that bounces is smoother than that, so it is fitted once, with the same weights, when
+weight.  Light that bounces is smoother than that, so it is fitted once, as the first fit was, when
 all of it is known.  What the next bounce reads on the way there are averages of the samples about
 each point: they are not smooth enough to be shown, but add up to the same light.
 """

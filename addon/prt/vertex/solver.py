@@ -23,7 +23,7 @@ from ..tracing.rays import Occlusion
 from .fit_mesh import interpolated
 from .parts import joined, parts_of
 from .projection import Projection
-from .traced import Found, Mask, Trace, Tracer, part_of
+from .traced import Array, Found, Mask, Trace, Tracer, part_of
 from .values import Values, squares
 
 POINTS, SMOOTH, BOTH, FINE = range(4)  # how a part is found
@@ -41,9 +41,11 @@ SMOOTH_ERROR = 1.3  # of the points' error: below, a fit to the first samples is
 @dataclass(frozen=True)
 class Solved(Found):
     """What was found of points, with all places that rays started from; ``projection``, how more
-    that is found there is shown."""
+    that is found there is shown; ``lost`` (P, n²), what of the transfer was taken for noise after
+    what is exact for one world had been made of all of it."""
 
     projection: Projection
+    lost: Array
 
 
 def solve(
@@ -80,15 +82,16 @@ def solve(
         shown, dark = work.as_traced(traced, unseen)
         fill(points, receiver, shown, dark)
         work.keep_better(traced[~unseen], shown, has_points)
-    values, hidden = work.values(traced, unseen)
+    values, lost, hidden = work.values(traced, unseen)
     filled, givers = fill(points, receiver, values, hidden)
+    lost[filled] = lost[givers]
     entry = {
         "rays": tracer.cast + rays_for(transfer),
         "buried_points": int(hidden.sum()),
         **work.report(traced, unseen, values),
     }
     projection = Projection(parts, work, traced, unseen, hidden, filled, givers)
-    return Solved(values, entry, traced, projection)
+    return Solved(values, entry, traced, projection, lost)
 
 
 def pilot_error(

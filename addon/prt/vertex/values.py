@@ -76,19 +76,22 @@ class Values:
         tells = np.bincount(samples.parts, samples.spare, self._parts.count) > 0
         self.fitted &= ~(has_points & tells & (self._judged[1] > WORSE * of_points))
 
-    def values(self, traced: Traced, unseen: Mask) -> tuple[Array, Mask]:
-        """Values (P, K), and the points that are buried, with values of 0."""
+    def values(self, traced: Traced, unseen: Mask) -> tuple[Array, Array, Mask]:
+        """Values (P, K), what of the transfer (P, n²) a second fit took, and the points that are
+        buried, with values of 0."""
         parts = self._parts
         values, hidden = self.as_traced(traced, unseen)
+        lost = np.zeros((len(values), self._order**2), np.float32)
         mine = self.fitted[part_of(parts, traced)]
         if mine.any():
             points = self.fitted[parts.of_points]
-            values[points] = self._fit(traced[mine & ~unseen])[points]
+            found = self._fit(traced[mine & ~unseen])
+            values[points], lost[points] = (each[points] for each in found)
             places = traced.places
-            found = buried_points(parts.mesh, places[mine & ~unseen], places[mine & unseen])
-            hidden[points] = found[points]
-        values[hidden] = 0
-        return values, hidden
+            dark = buried_points(parts.mesh, places[mine & ~unseen], places[mine & unseen])
+            hidden[points] = dark[points]
+        values[hidden], lost[hidden] = 0, 0
+        return values, lost, hidden
 
     def left_out(self, traced: Traced) -> Errors:
         """What a fit to ``traced`` misses where samples are left out, without their own noise."""
@@ -126,8 +129,8 @@ class Values:
         samples = Samples(traced.places, deviation, areas, of, traced.point < 0)
         return samples, gain[parts.of_points][:, None] * self._open
 
-    def _fit(self, traced: Traced) -> Array:
-        """Values (P, K) fitted to ``traced``."""
+    def _fit(self, traced: Traced) -> tuple[Array, Array]:
+        """Values (P, K) fitted to ``traced``, and what of the transfer the second fit took."""
         mesh, parts, columns = self._parts.mesh, self._parts, self._order**2
         samples, dimmed = self._samples(traced)
         transfer = replace(samples, values=samples.values[:, :columns])
@@ -137,12 +140,12 @@ class Values:
         samples = replace(samples, values=np.concatenate(columns_and_noise, axis=1))
         fit = Fit(mesh, parts.of_points, parts.count, self.threads)
         near = float(np.clip(NEAR * self._noise, *NEAREST))
-        values = fit.solve(samples, weights, columns, rough=1, tolerance=near)
+        values, lost = fit.solve(samples, weights, columns, rough=1, tolerance=near)
         self.fit = fit if self._is_fitted_again else None
         self._fit_errors = self._errors(traced, samples, missed, values[:, -1:])
         values[:, :columns] += dimmed
         values[:, 0] = np.maximum(values[:, 0], 0)
-        return values[:, :-1]
+        return values[:, :-1], lost
 
     def _errors(self, traced: Traced, samples: Samples, missed: Float, noise: Array) -> Errors:
         """What ``samples`` say of a fit: ``missed`` (count,) is the mean square of what it misses
