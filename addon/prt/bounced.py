@@ -318,7 +318,8 @@ class Bounces:
         """Receiver ``index`` with all light."""
         one, points = self._direct[index], self._points[index]
         plain = one.work.result(one.solved)
-        more = one.solved.projection.final(self._found[index])
+        columns = self._coefficients * self._channels
+        more = one.solved.projection.final(self._found[index], columns)
         result = with_bounces(self._scene, plain, more)
         entry = {**one.work.entry(one.solved), **self._report, "channels": self._channels}
         return Baked(result, entry, points, one.solved)

@@ -224,7 +224,8 @@ class Fit:
         twice = is_rough | (np.arange(right.shape[1]) < columns)
         found = self._system.solve(right, guess, np.where(twice, FIRST, tolerance))
         first = found[:, :columns].copy()
-        self._hold(data, self._of_parts(weights[:, 1]) * self._stiffness(first))
+        self._second = data, self._of_parts(weights[:, 1]) * self._stiffness(first)
+        self._hold(*self._second)
         near = np.where(is_rough, np.inf, tolerance)[twice]
         found[:, twice] = self._system.solve(right[:, twice], found[:, twice], near)
         return found, first - found[:, :columns]
@@ -246,12 +247,16 @@ class Fit:
         usual = np.maximum(USUAL * mean**2, 1e-300)[of]
         return np.asarray((1 + SHARP) / (squared / usual + SHARP))
 
-    def again(self, values: Array, tolerance: float) -> Array:
-        """The first fit to other ``values`` (S, K) of the samples that were fitted last, to within
-        this ``tolerance``."""
-        self._hold(*self._first)
+    def again(self, values: Array, columns: int, tolerance: float) -> Array:
+        """Fits to other ``values`` (S, K) of the samples that were fitted last, to within this
+        ``tolerance``: the second one to the first ``columns``, and the first to the others."""
         right = self._spread.sums(values)
-        return self._system.solve(right, self._spread.averages(right), tolerance)
+        guess, found = self._spread.averages(right), np.empty_like(right)
+        for held, its in ((self._second, slice(columns)), (self._first, slice(columns, None))):
+            if right[:, its].size:
+                self._hold(*held)
+                found[:, its] = self._system.solve(right[:, its], guess[:, its], tolerance)
+        return found
 
     def averages(self, values: Array) -> Array:
         """Averages (P, K) about each point of other ``values`` (S, K) of the samples that were

@@ -1,7 +1,7 @@
 """Values of points from what more was found at the places that were traced: light of bounces.
 
 What was traced first has decided how the points are found: as they are, or by a fit with some
-weight.  Light that bounces is smoother than that, so it is fitted once, as the first fit was, when
+weight.  Light that bounces is smoother than that, so it is fitted once, with the same weights, when
 all of it is known.  What the next bounce reads on the way there are averages of the samples about
 each point: they are not smooth enough to be shown, but add up to the same light.
 """
@@ -39,14 +39,15 @@ class Projection:
         """Averages (P, K) of what was ``found`` (M, K)."""
         return self._shown(found, self.first.fit.averages if self.first.fit else None)
 
-    def final(self, found: Array) -> Array:
-        """What points (P, K) show of what was ``found`` (M, K), the transfer first."""
+    def final(self, found: Array, columns: int) -> Array:
+        """What points (P, K) show of what was ``found`` (M, K), whose first ``columns`` are the
+        transfer's, and the others what is exact for one world."""
         fit = self.first.fit
         if fit is None:
             return self._shown(found, None)
         direct, added = (squares(v[:, :1]).mean() ** 0.5 for v in (self.traced.values, found))
         tolerance = min(CLOSELY * (direct + added) / max(added, 1e-30), CLOSELY_ENOUGH)
-        return self._shown(found, partial(fit.again, tolerance=tolerance))
+        return self._shown(found, partial(fit.again, columns=columns, tolerance=tolerance))
 
     def _shown(self, found: Array, of_samples: Callable[[Array], Array] | None) -> Array:
         at, mesh = self.traced.point >= 0, self.parts.mesh
