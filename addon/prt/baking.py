@@ -357,7 +357,7 @@ class Work(Bake[Solved]):
             noise=self._effort.noise,
         )
         if self._scene.world.exact is not None:
-            self._scene.world.exact.make_up(solved.values, solved.lost)
+            self._scene.world.exact.add_light(solved.values, solved.lost)
         return solved
 
     def interpolation_error(self) -> Generator[int, None, float]:

@@ -43,22 +43,20 @@ class ExactWorld:
     radiance_sh: Float
     lights: Float
 
-    def make_up(self, values: Array, lost: Array) -> None:
-        """Add to the residuals of ``values`` (P, n² + 3 turns + peaks, and more) what they miss of
-        the transfer's light since it has ``lost`` so much (P, n²)."""
-        coefficients = lost.shape[1]
+    def add_light(self, values: Array, transfer: Array, sign: float = 1.0) -> None:
+        """Add what ``transfer`` (P, n²) shows, by a ``sign``, to the exit radiances or residuals of
+        ``values`` (P, n² + 3 turns + peaks, and more)."""
+        coefficients = transfer.shape[1]
         for k, radiance in enumerate(self.radiance_sh):
             place = slice(coefficients + 3 * k, coefficients + 3 * k + 3)
-            values[:, place] += lost @ radiance[:coefficients].astype(np.float32)
+            values[:, place] += sign * (transfer @ radiance[:coefficients].astype(np.float32))
 
     def leave_residuals(self, values: Array, coefficients: int, sign: float = 1.0) -> None:
         """Turn the gathered exit radiances of ``values`` (P, n² + 3 turns + peaks, and more) into
         what the transfer misses of them; in the first turn, the peaks too.  Back with a ``sign`` of
         -1."""
-        transfer, end = values[:, :coefficients], coefficients + 3 * len(self.radiance_sh)
-        for k, radiance in enumerate(self.radiance_sh):
-            place = slice(coefficients + 3 * k, coefficients + 3 * k + 3)
-            values[:, place] -= sign * (transfer @ radiance[:coefficients].astype(np.float32))
+        self.add_light(values, values[:, :coefficients], -sign)
+        end = coefficients + 3 * len(self.radiance_sh)
         if len(self.radiance_sh) and len(self.lights):
             first = slice(coefficients, coefficients + 3)
             peaks = values[:, end : end + len(self.lights)]

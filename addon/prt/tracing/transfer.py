@@ -39,7 +39,7 @@ PART_RAYS = 1 << 16, 1 << 18  # in a part no fewer and no more
 FEWEST_PARTS = 4  # of few rays, too
 AHEAD = 2  # pieces whose horizon is found while others are traced
 MOST_GROUPS = 1024  # in a part
-CLOSED = 4  # every so many-th ray is cast, of those that a mask is asked for
+CLOSED = 4  # every so many-th ray is cast, where it is asked which may be blocked
 FEWEST_TRACED = 64, 16  # every so many-th, at least, counts: where sums are all, and else
 
 CAST = "cast"

@@ -220,8 +220,9 @@ class Fit:
         data, right, guess = self._sides(samples)
         self._first = data, self._of_parts(weights[:, 0])
         self._hold(*self._first)
-        is_rough = np.arange(right.shape[1]) >= right.shape[1] - rough
-        twice = is_rough | (np.arange(right.shape[1]) < columns)
+        column = np.arange(right.shape[1])
+        is_rough = column >= len(column) - rough
+        twice = is_rough | (column < columns)
         found = self._system.solve(right, guess, np.where(twice, FIRST, tolerance))
         first = found[:, :columns].copy()
         self._second = data, self._of_parts(weights[:, 1]) * self._stiffness(first)
@@ -240,7 +241,7 @@ class Fit:
 
     def _stiffness(self, values: Array) -> Float:
         """By what each hinge's weight is multiplied (H,) where ``values`` (P, K) bend as they do:
-        1 where they bend as is usual in the part, up to 1 / SHARP where they hardly bend."""
+        1 where they bend as is usual in the part, up to 1 + 1 / SHARP where they hardly do."""
         of, squared = self._parts[self._mesh.hinges[:, 0]], bends(self._mesh, values)
         sums = np.bincount(of, np.sqrt(squared), self._count)
         mean = sums / np.maximum(np.bincount(of, minlength=self._count), 1)
