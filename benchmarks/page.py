@@ -70,6 +70,14 @@ renderer does it, at equal rays: values fitted to samples inside the triangles a
 at the points.
 """
 
+EXACT = """Relative RMS of the exit radiance of white surfaces, the HDRI's whole light, in %, at
+1,000 random places of the torus knot over floor and wall, before anything is fitted or
+interpolated. The pictures are Blender's at 256 x 128; the truth is visibility traced through all of
+their texels, finer the more light a texel has, up to 128 x 128 rays for a sun. *Towards the map*
+are the rays drawn in proportion to its light that a point traces beside the transfer's own; the
+default is 128 in the mean, and without any only the transfer's rays look at the picture.
+"""
+
 PICTURES = """Relative RMS of the pixels that show a mesh, in EEVEE against Cycles (white, diffuse,
 no bounces, the world's full HDRI), without Cycles' noise, in %. The torus knot lies over floor and
 wall, the ground a grid of 200 x 200; where the world is turned it is turned after the bake. EEVEE's
@@ -168,6 +176,7 @@ SECTIONS = (
     Section("The error that was asked for", TOLERANCE, tolerance, is_short=True),
     Section("Rate", RATE, script("bake_rate.py"), is_short=True),
     Section("Error on the surface", SURFACE, script("surface_error.py"), is_short=True),
+    Section("Exact light at the points", EXACT, script("exact_light.py"), is_short=True),
     Section("Pictures", PICTURES, script("pictures.py")),
     Section("Reflections", REFLECTIONS, script("specular.py")),
     Section("Bounces", BOUNCES, script("bounces.py")),
