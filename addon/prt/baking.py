@@ -25,8 +25,9 @@ from .tracing.rays import Geometry, occlusion
 from .tracing.surroundings import Surroundings
 from .tracing.tolerance import FALL, Effort, effort, estimate_error
 from .tracing.transfer import CAST, MAP_RAYS, Counts, Shortcuts, trace_all
+from .vertex.parts import may_fit
 from .vertex.solver import Solved, pilot_error, solve
-from .vertex.traced import Found
+from .vertex.traced import Found, Traced
 
 if TYPE_CHECKING:
     from .bounces.hits import Gathered  # and all else of it where light bounces
@@ -216,14 +217,14 @@ class Bake(ABC, Generic[What]):
         self._shortcuts = Shortcuts(horizon)
         self._effort = Effort(self._settings.rays)
         self._pilots = points
-        self._error = 0.0
+        self._error: float | None = None
 
     def solve(self) -> Generator[Progress, None, What]:
         """Trace and solve."""
         meter, tape = self._scene.meter, self._tape
         if tape.known:
             self._effort, self._error = Effort(**tape.report["effort"]), tape.report["error"]
-        else:
+        elif self._chooses():
             with meter.phase("effort"):
                 steps = effort(self._pilots, self._occlusion, self._settings, self._shortcuts)
                 self._effort = yield from meter.follow("effort", steps, 0, 1)
@@ -234,11 +235,13 @@ class Bake(ABC, Generic[What]):
         with meter.phase("values"):
             found = self._found()
             solved = yield from meter.follow("transfer", found, self._expected, expected)
-        if not tape.known:
-            with meter.phase("estimate"):
-                self._estimate(solved)
-        tape.save({"effort": asdict(self._effort), "error": self._error})
+        error = self._error_of(solved.traced)
+        tape.save({"effort": asdict(self._effort), "error": error})
         return solved
+
+    def _chooses(self) -> bool:
+        """Whether anything depends on the noise that is to be expected."""
+        return True
 
     @abstractmethod
     def _found(self) -> Generator[int, None, What]:
@@ -287,21 +290,27 @@ class Bake(ABC, Generic[What]):
             world.leave_residuals(values, coefficients)
         return values
 
-    def _estimate(self, solved: Found) -> None:
-        """The error at the traced places, pooled: found for those with the most usual number of
-        rays, and for the others by how it falls with rays."""
-        traced, coefficients = solved.traced, self._settings.order**2
+    def _error_of(self, traced: Traced) -> float:
+        """The error at the ``traced`` places, pooled; found once."""
+        if self._error is None:
+            with self._scene.meter.phase("estimate"):
+                self._error = self._estimate(traced)
+        return self._error
+
+    def _estimate(self, traced: Traced) -> float:
+        """The error for those with the most usual number of rays, and for the others by how it
+        falls with rays."""
         if not len(traced.rays):
-            return
+            return 0.0
         usual = int(np.bincount(traced.rays).argmax())
         mine = traced.rays == usual
         places = Points(traced.origins[mine], traced.normals[mine], self._points.element_points[:0])
-        transfer = traced.values[mine, :coefficients]
+        transfer = traced.values[mine, : self._settings.order**2]
         settings = replace(self._settings, rays=usual)
         error, cast = estimate_error(places, self._occlusion, settings, transfer)
-        others = (usual / np.maximum(traced.rays, 1)) ** FALL
-        self._error = error * float(np.sqrt(np.mean(others**2)))
         self._counts[CAST] += cast
+        others = (usual / np.maximum(traced.rays, 1)) ** FALL
+        return error * float(np.sqrt(np.mean(others**2)))
 
     def result(self, solved: Found) -> ReceiverResult:
         """The values of ``solved``, apart."""
@@ -345,6 +354,11 @@ class Bake(ABC, Generic[What]):
 class Work(Bake[Solved]):
     """The bake of one receiver at its points."""
 
+    def _chooses(self) -> bool:
+        """See Bake."""
+        settings = self._settings
+        return bool(settings.tolerance) or may_fit(self._receiver, settings, settings.rays)
+
     def _found(self) -> Generator[int, None, Solved]:
         """Values of the points.  Yields the rays cast so far."""
         solved = yield from solve(
@@ -354,7 +368,7 @@ class Work(Bake[Solved]):
             self._occlusion,
             self._settings,
             rays=self._effort.rays,
-            noise=self._effort.noise,
+            noise=self._effort.noise if self._chooses() else self._error_of,
         )
         if self._scene.world.exact is not None:
             self._scene.world.exact.add_light(solved.values, solved.lost)

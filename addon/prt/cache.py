@@ -12,7 +12,7 @@ import json
 import os
 import time
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
@@ -27,11 +27,12 @@ from .job import RECEIVER_ARRAYS, Array, Job, light_digest
 What = Literal["result", "visibility", "pilot"]
 
 LIMIT_BYTES = 2 << 30
-MAGIC = b"PRT Baker's cache, entry of version 2\n"
+MAGIC = b"PRT Baker's cache, entry of version 3\n"
 SUFFIX, UNFINISHED = ".prt", ".tmp"
 ABANDONED_SECONDS = 3600.0  # an unfinished file this old is left from a process that was killed
+SPARE = 16  # part of the limit that is made free at once, so that a full folder is seldom looked at
 ALIGNMENT = 64
-LENGTH_BYTES, CHECKSUM_BYTES = 8, 4
+LENGTH_BYTES, CHECKSUM_BYTES, DIGEST_BYTES = 8, 4, 32
 LEAST_BYTES = len(MAGIC) + LENGTH_BYTES + CHECKSUM_BYTES
 # what changes no result, and what changes none as long as no light is looked at
 ATLAS = (
@@ -56,11 +57,14 @@ class Entry:
 
 class Cache:
     """Entries in ``folder``, at most ``limit_bytes`` of them: those not used for the longest time
-    are deleted first.  "" is no folder: nothing is kept."""
+    are deleted first.  "" is no folder: nothing is kept.
+
+    The folder is looked at when there may be no room left, which this object knows of what it
+    writes itself; what other processes write meanwhile is counted then."""
 
     def __init__(self, folder: str | Path, limit_bytes: int = LIMIT_BYTES) -> None:
         self._folder = Path(folder) if folder else None
-        self._limit = limit_bytes
+        self._limit, self._room = limit_bytes, 0
 
     def get(self, key: str) -> Entry | None:
         """The entry of ``key``, memory-mapped; None where there is none that is whole."""
@@ -85,22 +89,30 @@ class Cache:
             return False
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            self._trim(self._limit - size)
-            _write(self._folder, key, arrays, report)
+            if size >= self._room:
+                self._room = self._limit - self._trimmed(self._folder, size)
+            self._room -= _write(self._folder, key, arrays, report)
         except OSError:
             return False
         return True
 
-    def _trim(self, limit: int) -> None:
-        """Delete what was used longest ago, until no more than ``limit`` bytes are left."""
-        files = sorted(_files(self._folder or Path()), reverse=True)
-        total = 0
-        for used, size, path in files:
-            if path.suffix == UNFINISHED and used > time.time() - ABANDONED_SECONDS:
-                continue
-            total += size
-            if total > limit or path.suffix == UNFINISHED:
-                _delete(path)
+    def _trimmed(self, folder: Path, size: int) -> int:
+        """The bytes in ``folder``, where there is room for ``size`` more: what was used longest ago
+        is deleted if there is not, and some more with it."""
+        files, now = sorted(_files(folder), reverse=True), time.time()
+        abandoned = [path for used, _, path in files if _is_abandoned(path, now - used)]
+        kept = [file for file in files if file[2].suffix == SUFFIX]
+        total = sum(size for _, size, _ in kept)
+        limit = self._limit - size
+        if total > limit:
+            limit = min(limit, self._limit - self._limit // SPARE)
+        for path in abandoned:
+            _delete(path)
+        while kept and total > limit:
+            _, freed, path = kept.pop()
+            _delete(path)
+            total -= freed
+        return total
 
 
 class Keys:
@@ -108,11 +120,13 @@ class Keys:
 
     def __init__(self, job: Job) -> None:
         self._job = job
-        self._parts: dict[int, bytes] = {}
+        self._settings = asdict(job.settings)
+        count = len(job.occluder_starts) - 1
+        self._parts, self._has = np.empty((count, DIGEST_BYTES), np.uint8), np.zeros(count, bool)
         self._light: bytes | None = None
 
     def receiver(
-        self, what: What, index: int, parts: Iterable[int], with_light: bool, more: bytes = b""
+        self, what: What, index: int, parts: npt.ArrayLike, with_light: bool, more: bytes = b""
     ) -> str:
         """Names ``what`` of receiver ``index``: it depends on its arrays, on the occluders
         ``parts``, whatever their order and their names, on the settings that decide it and on this
@@ -123,40 +137,49 @@ class Keys:
         without: tuple[str, ...] = NEVER if with_light else NEVER + BY_LIGHT
         without += ("bounces", "visibility_order") if what == "visibility" else ()
         without += ("keep_direct",) if what != "result" else ()
-        settings = {k: v for k, v in asdict(job.settings).items() if k not in without}
+        settings = {k: v for k, v in self._settings.items() if k not in without}
         header = (VERSION, what, receiver.domain, settings, with_light)
         digest = hashlib.blake2b(digest_size=20)
         digest.update(json.dumps(header, sort_keys=True).encode())
         digest.update(more)
         for name in RECEIVER_ARRAYS:
             add_array(digest, name, getattr(receiver, name))
-        for part in sorted(self._part(int(k)) for k in parts):
-            digest.update(part)
+        digest.update(self._digests(np.asarray(parts, np.int64)))
         if with_light:
             self._light = self._light or light_digest(job.light)
             digest.update(self._light)
         return digest.hexdigest()
 
-    def _part(self, k: int) -> bytes:
-        """Names the triangles of occluder ``k`` and where they are."""
-        if k not in self._parts:
-            job, digest = self._job, hashlib.blake2b(digest_size=32)
-            triangles = job.occluder_triangles[job.occluder_starts[k] : job.occluder_starts[k + 1]]
-            low = int(triangles.min(initial=len(job.occluder_vertices)))
-            high = int(triangles.max(initial=-1)) + 1
-            add_array(digest, "vertices", job.occluder_vertices[low:high])
-            add_array(digest, "triangles", triangles - low)
-            self._parts[k] = digest.digest()
-        return self._parts[k]
+    def _digests(self, parts: npt.NDArray[np.int64]) -> npt.NDArray[np.uint8]:
+        """Names of the triangles of occluders (K,) and where they are (K, DIGEST_BYTES), sorted."""
+        for k in parts[~self._has[parts]]:
+            self._parts[k] = np.frombuffer(self._digest(int(k)), np.uint8)
+            self._has[k] = True
+        its = self._parts[parts]
+        return its[np.argsort(its.view(">u8")[:, 0], kind="stable")]
+
+    def _digest(self, k: int) -> bytes:
+        job, digest = self._job, hashlib.blake2b(digest_size=DIGEST_BYTES)
+        triangles = job.occluder_triangles[job.occluder_starts[k] : job.occluder_starts[k + 1]]
+        low = int(triangles.min(initial=len(job.occluder_vertices)))
+        high = int(triangles.max(initial=-1)) + 1
+        add_array(digest, "vertices", job.occluder_vertices[low:high])
+        add_array(digest, "triangles", triangles - low)
+        return digest.digest()
 
 
 def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
     """When each file of the cache was last used, its bytes, and its path."""
-    for path in folder.iterdir():
-        if path.suffix in {SUFFIX, UNFINISHED}:
-            with contextlib.suppress(OSError):  # another process was faster
-                status = path.stat()
-                yield status.st_mtime, status.st_size, path
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.endswith((SUFFIX, UNFINISHED)):
+                with contextlib.suppress(OSError):  # another process was faster
+                    status = entry.stat()
+                    yield status.st_mtime, status.st_size, Path(entry.path)
+
+
+def _is_abandoned(path: Path, age: float) -> bool:
+    return path.suffix == UNFINISHED and age > ABANDONED_SECONDS
 
 
 def _delete(path: Path) -> None:
@@ -164,16 +187,18 @@ def _delete(path: Path) -> None:
         path.unlink()
 
 
-def _write(folder: Path, key: str, arrays: Mapping[str, Array], report: Mapping[str, Any]) -> None:
-    """OSError where there is no room; then nothing is left of it."""
+def _write(folder: Path, key: str, arrays: Mapping[str, Array], report: Mapping[str, Any]) -> int:
+    """The bytes written; OSError where there is no room, and then nothing is left of it."""
     unfinished = folder / f"{key}-{os.urandom(8).hex()}{UNFINISHED}"
     try:
         with unfinished.open("xb") as file:
             _write_entry(file, arrays, report)
+            size = file.tell()
         unfinished.replace(folder / (key + SUFFIX))
     except BaseException:
         _delete(unfinished)
         raise
+    return size
 
 
 def _write_entry(file: BinaryIO, arrays: Mapping[str, Array], report: Mapping[str, Any]) -> None:

@@ -8,8 +8,9 @@ of its own (``results.py``).
     occluder_triangles.npy  (F, 3) int32
     occluder_starts.npy     (O + 1,) int64, see ``Job``
     occluder_albedo.npy     (F, 3, 3) float32, where light bounces
-    0_vertices.npy ...      the arrays of receiver 0, see ``Receiver``; its vertices are float32
-                            with ``centre`` subtracted
+    vertices.npy ...        the arrays of all receivers, see ``Receiver``, one receiver's after
+                            the other's, flat: ``shapes`` in the settings tell them apart; the
+                            vertices are float32 with ``centre`` subtracted
     image.npy               the pixels of a world that is no file, (H, W, 3) float32
     progress.jsonl          one line a step, see ``Progress``
     results/                see ``results.py``
@@ -26,6 +27,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from .arrays import Shape, read_all, write_all
 from .digests import add_array, add_files
 
 VERSION = 1
@@ -235,8 +237,11 @@ def content_hash(job: Job) -> str:
     receivers = [[getattr(r, name) for name in HEADER] for r in job.receivers]
     digest.update(json.dumps((VERSION, job.kind, settings, receivers), sort_keys=True).encode())
     digest.update(light_digest(job.light))
-    for name, array in _arrays(job, None):
+    for name, array in _arrays_of_all(job, None):
         add_array(digest, name, array)
+    for name, arrays in _arrays_of_each(job, None):
+        for array in arrays:
+            add_array(digest, name, array)
     return digest.hexdigest()
 
 
@@ -255,8 +260,12 @@ def light_digest(light: LightSource | None) -> bytes:
 def write(job: Job, folder: Path) -> None:
     """Write ``job`` into an existing, empty ``folder``, the settings last."""
     centre = _centre(job)
-    for name, array in _arrays(job, centre):
+    for name, array in _arrays_of_all(job, centre):
         np.save(folder / f"{name}.npy", array)
+    shapes = {
+        name: write_all(folder / f"{name}.npy", list(arrays))
+        for name, arrays in _arrays_of_each(job, centre)
+    }
     if job.light is not None and job.light.pixels is not None:
         np.save(folder / "image.npy", job.light.pixels)
     receivers = [
@@ -269,11 +278,12 @@ def write(job: Job, folder: Path) -> None:
         "settings": asdict(job.settings),
         "light": _light_header(job.light),
         "receivers": receivers,
+        "shapes": shapes,
         "repairs": job.repairs,
         "centre": centre.tolist(),
     }
     unfinished = folder / "settings.tmp"
-    unfinished.write_text(json.dumps(values, indent=1), encoding="utf-8")
+    unfinished.write_text(json.dumps(values), encoding="utf-8")
     unfinished.rename(folder / SETTINGS)
 
 
@@ -289,7 +299,7 @@ def read(folder: Path) -> Job:
         kind=values["kind"],
         settings=Settings(**values["settings"]),
         light=_read_light(values["light"], folder),
-        receivers=tuple(_read_receiver(folder, i, r) for i, r in enumerate(values["receivers"])),
+        receivers=tuple(_read_receivers(folder, values["receivers"], values["shapes"])),
         occluder_vertices=_load(folder, "occluder_vertices"),
         occluder_triangles=_load(folder, "occluder_triangles"),
         repairs=values["repairs"],
@@ -315,19 +325,19 @@ def _bounds(vertices: Array) -> tuple[Array, Array]:
     return vertices.min(axis=0), vertices.max(axis=0)
 
 
-def _arrays(job: Job, centre: Array | None) -> Iterator[tuple[str, Array]]:
+def _arrays_of_all(job: Job, centre: Array | None) -> Iterator[tuple[str, Array]]:
     yield "occluder_vertices", _centred(job.occluder_vertices, centre)
     yield "occluder_triangles", np.asarray(job.occluder_triangles, np.int32)
     yield "occluder_starts", np.asarray(job.occluder_starts, np.int64)
     if len(job.occluder_albedo):
         yield "occluder_albedo", np.asarray(job.occluder_albedo, np.float32)
-    for i, receiver in enumerate(job.receivers):
-        for name in RECEIVER_ARRAYS:
-            array = getattr(receiver, name)
-            yield f"{i}_{name}", _centred(array, centre) if name == "vertices" else array
-        for name in SHOWN:
-            if _has(receiver, name):
-                yield f"{i}_{name}", getattr(receiver, name)
+
+
+def _arrays_of_each(job: Job, centre: Array | None) -> Iterator[tuple[str, Iterator[Array]]]:
+    """Of each name the arrays of the receivers that have it."""
+    for name in (*RECEIVER_ARRAYS, *SHOWN):
+        arrays = (getattr(r, name) for r in job.receivers if _has(r, name))
+        yield name, (_centred(a, centre) if name == "vertices" else a for a in arrays)
 
 
 def _centred(vertices: Array, centre: Array | None) -> Array:
@@ -360,11 +370,17 @@ def _read_light(values: dict[str, Any] | None, folder: Path) -> LightSource | No
     return LightSource(strength, values["image"], pixels, rotation, **rest)  # type: ignore[arg-type]
 
 
-def _read_receiver(folder: Path, i: int, values: dict[str, Any]) -> Receiver:
-    fields_of: dict[str, Any] = {name: values[name] for name in HEADER}
-    for name in (*RECEIVER_ARRAYS, *values["shown"]):
-        fields_of[name] = _load(folder, f"{i}_{name}")
-    return Receiver(**fields_of)
+def _read_receivers(
+    folder: Path, headers: list[dict[str, Any]], shapes: dict[str, list[Shape]]
+) -> Iterator[Receiver]:
+    left = {
+        name: iter(read_all(folder / f"{name}.npy", its, mapped=True))
+        for name, its in shapes.items()
+    }
+    for header in headers:
+        names = (*RECEIVER_ARRAYS, *header["shown"])
+        arrays: dict[str, Any] = {name: next(left[name]) for name in names}
+        yield Receiver(**{name: header[name] for name in HEADER}, **arrays)
 
 
 def _has(receiver: Receiver, name: str) -> bool:

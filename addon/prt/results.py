@@ -5,20 +5,23 @@ which exists only when all of it is there:
 
     report.json             names of the receivers, atlases, peaks, the JSON report
     light.npy               see ``Results.image_sh``
-    0_transfer.npy ...      the arrays of receiver 0, see ``ReceiverResult``; where it is in an
-                            atlas only some of the points, and 0_uvs.npy
+    transfer.npy ...        the arrays of all receivers, see ``ReceiverResult``, one receiver's
+                            after the other's, flat: ``shapes`` in the report tell them apart; of
+                            one in an atlas only some of the points, and its uvs
     atlas_0.exr ...         see ``Atlas``; atlas_0_0.exr ... or atlas_0_0.png ..., atlas_0.json for
                             engines, see ``files/layers.py``; direct_0.exr ... without bounces
     reflections.exr         see ``Reflections``
 """
 
 import json
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .arrays import read_all, write_all
 from .job import Array, EngineImages, Peak
 
 if TYPE_CHECKING:
@@ -157,12 +160,12 @@ def write_results(results: Results, folder: Path) -> None:
     unfinished.mkdir()
     if results.image_sh is not None:
         np.save(unfinished / "light.npy", results.image_sh)
-    for i, result in enumerate(results.receivers):
-        step = 1 if result.in_atlas is None else 1 + len(result.transfer) // SOME
-        for name in RESULT_ARRAYS:
-            np.save(unfinished / f"{i}_{name}.npy", getattr(result, name)[::step])
-        if result.in_atlas is not None:
-            np.save(unfinished / f"{i}_uvs.npy", result.in_atlas.uvs)
+    shapes = {
+        name: write_all(unfinished / f"{name}.npy", [_some(r, name) for r in results.receivers])
+        for name in RESULT_ARRAYS
+    }
+    uvs = [r.in_atlas.uvs for r in results.receivers if r.in_atlas is not None]
+    shapes["uvs"] = write_all(unfinished / "uvs.npy", uvs)
     stamp = {"prtBaker": str(results.report.get("job_hash", ""))}
     for i, atlas in enumerate(results.atlases):
         _write_atlas(atlas, unfinished, f"atlas_{i}", stamp)
@@ -170,6 +173,7 @@ def write_results(results: Results, folder: Path) -> None:
             _write_atlas(atlas.direct, unfinished, f"direct_{i}", stamp)
     report = {
         "names": [r.name for r in results.receivers],
+        "shapes": shapes,
         "in_atlas": [-1 if r.in_atlas is None else r.in_atlas.atlas for r in results.receivers],
         "atlases": [_header(atlas) for atlas in results.atlases],
         "peaks": [asdict(peak) for peak in results.peaks],
@@ -184,10 +188,7 @@ def read_results(folder: Path) -> Results:
     """The results in ``folder``, loaded whole, all but the atlases."""
     done = folder / RESULTS
     values = json.loads((done / "report.json").read_text(encoding="utf-8"))
-    receivers = tuple(
-        _read_receiver(done, i, name, atlas)
-        for i, (name, atlas) in enumerate(zip(values["names"], values["in_atlas"], strict=True))
-    )
+    receivers = tuple(_read_receivers(done, values))
     light = done / "light.npy"
     image_sh = np.load(light) if light.exists() else None
     peaks = tuple(map(Peak.of, values["peaks"]))
@@ -249,7 +250,18 @@ def _read_reflections(values: dict[str, Any] | None, folder: Path) -> Reflection
     )
 
 
-def _read_receiver(done: Path, i: int, name: str, atlas: int) -> ReceiverResult:
-    arrays = {array: np.load(done / f"{i}_{array}.npy") for array in RESULT_ARRAYS}
-    in_atlas = InAtlas(atlas, np.load(done / f"{i}_uvs.npy")) if atlas >= 0 else None
-    return ReceiverResult(name, **arrays, in_atlas=in_atlas)
+def _some(result: ReceiverResult, name: str) -> Array:
+    """What is left of an array of ``result``."""
+    step = 1 if result.in_atlas is None else 1 + len(result.transfer) // SOME
+    array: Array = getattr(result, name)[::step]
+    return array
+
+
+def _read_receivers(done: Path, values: dict[str, Any]) -> Iterator[ReceiverResult]:
+    left = {
+        name: iter(read_all(done / f"{name}.npy", its)) for name, its in values["shapes"].items()
+    }
+    for name, atlas in zip(values["names"], values["in_atlas"], strict=True):
+        arrays = {array: next(left[array]) for array in RESULT_ARRAYS}
+        in_atlas = InAtlas(atlas, next(left["uvs"])) if atlas >= 0 else None
+        yield ReceiverResult(name, **arrays, in_atlas=in_atlas)

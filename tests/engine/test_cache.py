@@ -99,6 +99,27 @@ def test_the_folder_never_holds_more_than_its_limit(cache):
     assert not small.put("large", {"x": np.zeros(5001, np.uint8)}, {})
 
 
+def test_a_full_folder_is_not_looked_at_for_every_entry(cache, monkeypatch):
+    looks = []
+
+    def listed(folder):
+        looks.append(folder)
+        return found(folder)
+
+    found = caches._files
+    monkeypatch.setattr(caches, "_files", listed)
+    small = Cache(cache._folder, 200_000)
+    for i in range(500):
+        assert small.put(f"{i}", {"x": np.zeros(1000, np.uint8)}, {})
+    assert 15 < len(looks) < 60
+    assert sum(file.stat().st_size for file in files(small)) <= 200_000
+    looks.clear()
+    again = Cache(cache._folder, 1_000_000)
+    for i in range(500, 600):
+        assert again.put(f"{i}", {"x": np.zeros(1000, np.uint8)}, {})
+    assert len(looks) == 1
+
+
 def test_what_a_killed_process_left_is_cleared_away(cache):
     cache.put("a", ARRAYS, REPORT)
     left = cache._folder / ("b" + caches.UNFINISHED)
@@ -106,7 +127,7 @@ def test_what_a_killed_process_left_is_cleared_away(cache):
         left.write_bytes(b"half")
         then = left.stat().st_mtime - age
         os.utime(left, (then, then))
-        cache.put("c", ARRAYS, REPORT)
+        Cache(cache._folder).put("c", ARRAYS, REPORT)
         assert left.exists() is stays
     assert_kept(cache.get("a"))
 

@@ -261,8 +261,13 @@ def morton_order(positions: npt.NDArray[np.floating[Any]]) -> Index:
 
 def interleaved(cells: Iterable[npt.NDArray[np.integer[Any]]], bits: int) -> Codes:
     """Places (N,) along a Z curve of ``cells`` of so many ``bits``, (N,) along each axis."""
-    spread = _spread(np.arange(1 << bits, dtype=np.uint64))
-    codes = [spread.take(its) << np.uint64(axis) for axis, its in enumerate(cells)]
+    columns = list(cells)
+    if len(columns[0]) < 1 << bits:
+        spread = [_spread(its.astype(np.uint64)) for its in columns]
+    else:  # as a table
+        table = _spread(np.arange(1 << bits, dtype=np.uint64))
+        spread = [table.take(its) for its in columns]
+    codes = [its << np.uint64(axis) for axis, its in enumerate(spread)]
     return np.asarray(codes[0] | codes[1] | codes[2])
 
 

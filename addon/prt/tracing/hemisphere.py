@@ -130,6 +130,12 @@ class RaysInWorld:
         np.matmul(origins, repeat, out=out.reshape(len(origins), repeat.shape[1]))
 
 
+@lru_cache(maxsize=4)  # as of the sets
+def rays_in_world(count: int) -> RaysInWorld:
+    """Those of the set of ``count`` directions."""
+    return RaysInWorld(cosine_fibonacci(count).astype(np.float32))
+
+
 @lru_cache
 def _quarter_turn(order: int) -> Array:
     """The turn about x (n², n²) of coefficients."""

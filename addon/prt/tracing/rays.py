@@ -164,7 +164,7 @@ class Triangles:
             return np.asarray((met.triangles >= 0) & (along > 0))
 
         starts = range(0, len(directions), PIECE)
-        with workers(self._threads) as pool:
+        with workers(self._threads, is_little=len(directions) <= PIECE) as pool:
             return np.concatenate([np.zeros(0, bool), *pool.map(some, starts)])
 
     def first_met(self, origins: Vectors, directions: Vectors) -> Met:

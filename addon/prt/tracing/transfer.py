@@ -21,7 +21,7 @@ from ..parallel import workers
 from ..surface.points import Points
 from .confirm import CASTS, confirmed, doubtful
 from .gathering import Batch, Gather
-from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set
+from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set, rays_in_world
 from .horizon import Horizon
 from .looking import Look, Shown, Split
 from .open_rays import Alike, OpenRays, turns
@@ -36,7 +36,8 @@ Counts = Counter[str]
 BATCH_RAYS = 32768
 PARTS = 16  # of the points that are left, so that threads end together, but
 PART_RAYS = 1 << 16, 1 << 18  # in a part no fewer and no more
-FEWEST_PARTS = 4  # of few rays, too
+FEWEST_PARTS = 4  # of few rays, too, but of
+LITTLE = 1 << 15  # rays, which one thread casts before others have started
 AHEAD = 2  # pieces whose horizon is found while others are traced
 MOST_GROUPS = 1024  # in a part
 CLOSED = 4  # every so many-th ray is cast, where it is asked which may be blocked
@@ -112,7 +113,7 @@ class Tracer:
         self._local = hemisphere.directions
         self._direction_turns = turns(np.arctan2(self._local[:, 1], self._local[:, 0]))
         self._cosines = np.ascontiguousarray(hemisphere.directions[:, 2])
-        self._in_world = RaysInWorld(hemisphere.directions)
+        self._in_world = rays_in_world(settings.rays)
         self._weights = hemisphere.weights
         sums = np.cumsum(np.insert(hemisphere.weights, 0, 0, axis=0), axis=0, dtype=np.float64)
         self._sums_of_first = sums.astype(np.float32)
@@ -124,8 +125,9 @@ class Tracer:
         first = step // 2 if shortcuts.look else 0
         chosen = np.arange(self.rays) % step == first  # to be looked at, or cast before the others
         self._split = cache(partial(Split, chosen, self._local))
-        self._chosen_in_world = RaysInWorld(hemisphere.directions[chosen])
-        self._others_in_world = RaysInWorld(hemisphere.directions[~chosen])
+        if step > 1 or shortcuts.look:
+            self._chosen_in_world = RaysInWorld(hemisphere.directions[chosen])
+            self._others_in_world = RaysInWorld(hemisphere.directions[~chosen])
         wants_each = (gather, shortcuts.bits, shortcuts.look, self._seen_sh)  # ray of a point
         self._sums_only = all(want is None for want in wants_each)
         self._buffers = threading.local()
@@ -135,11 +137,11 @@ class Tracer:
         """Of what was ``found`` of a piece, some groups of points each, neighbours where they can
         be; fewer and fewer towards the end."""
         total = len(self.points.origins) * self.rays
-        low, high = min(PART_RAYS[0], total // FEWEST_PARTS), PART_RAYS[1]
+        low, high = min(PART_RAYS[0], max(LITTLE, total // FEWEST_PARTS)), PART_RAYS[1]
         for alike in found:
             groups = alike.groups
             while len(groups):
-                rays = int(np.clip(self._left * self.rays // PARTS, low, high))
+                rays = max(low, min(self._left * self.rays // PARTS, high))
                 size = max(4, min(MOST_GROUPS, rays // (GROUP * self._traced(alike))) // 4 * 4)
                 yield replace(alike, groups=groups[:size])
                 groups = groups[size:]
@@ -364,7 +366,7 @@ def trace_all(
         azimuth=azimuth,
     )
     counts: Counts = Counter()
-    pool = workers(settings.threads)
+    pool = workers(settings.threads, is_little=len(points.origins) * settings.rays <= LITTLE)
     pieces = iter(tracer.open_rays.pieces())
     at_work = deque[Future[Any]]()
 

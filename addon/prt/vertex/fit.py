@@ -13,7 +13,7 @@ logarithm).  At equal rays that takes a tenth of the error, a fifth at most.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,7 +93,7 @@ class System:
         """The x (P, K) that this matrix takes to ``right`` plus the anchor at ``guess``, both in
         the order of the points; conjugate gradients, each column for itself to within its
         ``tolerance``."""
-        with workers(self._threads) as pool:
+        with workers(self._threads, is_little=len(right) <= ROWS) as pool:
             steps = _Gradients(self, right[self.order], guess[self.order], pool)
             energy = steps.start()
             for _ in range(STEPS):
@@ -112,9 +112,7 @@ class _Gradients:
     processor's cache, and its part of a sum is the same in any company.
     """
 
-    def __init__(
-        self, system: System, right: Array, guess: Array, pool: ThreadPoolExecutor
-    ) -> None:
+    def __init__(self, system: System, right: Array, guess: Array, pool: Executor) -> None:
         self._system, self._pool = system, pool
         self.x, self._residual = guess, right + system.anchor * guess
         self._towards, self._image = np.empty_like(right), np.empty_like(right)

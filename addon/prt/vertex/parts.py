@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..job import Receiver
+from ..job import Receiver, Settings
 from ..surface.edges import components
 from ..surface.points import Float, Index, Points, Surface, element_triangles
 from ..surface.samples import Places
 from .fit_mesh import Mesh, mesh_of, unjoined
 
+MIN_RAYS = 32  # of a sample
 MIN_TRIANGLES = 500  # of a part
 OWN = 2000  # triangles of an island that is a part of its own: it can be judged by itself
 MIN_ISLAND = 64  # triangles: what is smaller is left to its points
@@ -74,6 +75,11 @@ class Parts:
         """A third of the area of the triangles about each point (P,)."""
         thirds = np.repeat(self.surface.areas / 3, 3)
         return np.bincount(self.mesh.corners.reshape(-1), thirds, self.mesh.count)
+
+
+def may_fit(receiver: Receiver, settings: Settings, rays: int) -> bool:
+    """Whether ``parts_of`` the receiver may be fitted, out of so many ``rays`` a point."""
+    return settings.fit and rays >= 2 * MIN_RAYS and len(receiver.triangles) >= MIN_TRIANGLES
 
 
 def parts_of(receiver: Receiver, points: Points, may_fit: bool) -> Parts:

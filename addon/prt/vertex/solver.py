@@ -10,7 +10,7 @@ samples predicts others the first from the third.  The rays of both are part of 
 their places are samples.
 """
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,15 +21,14 @@ from ..surface.samples import Places, stratified_places
 from ..tracing.buried import buried, fill, rays_for
 from ..tracing.rays import Occlusion
 from .fit_mesh import interpolated
-from .parts import joined, parts_of
+from .parts import MIN_RAYS, Parts, joined, may_fit, parts_of
 from .projection import Projection
-from .traced import Array, Found, Mask, Trace, Tracer, part_of
+from .traced import Array, Found, Mask, Trace, Traced, Tracer, part_of
 from .values import Values, squares
 
 POINTS, SMOOTH, BOTH, FINE = range(4)  # how a part is found
 NONE = np.zeros(0, np.int64)
 
-MIN_RAYS = 32  # of a sample
 PILOT_SHARE = 1 / 60  # of a part's points: pilot triangles
 PILOT = (12, 150)  # the fewest and the most of them
 LOOKS = (128, 512)  # the fewest and the most places that tell how coarse a mesh is
@@ -56,23 +55,21 @@ def solve(
     settings: Settings,
     *,
     rays: int,
-    noise: float,
+    noise: float | Callable[[Traced], float],
 ) -> Generator[int, None, Solved]:
     """Values of ``points`` out of ``rays`` a point, whose tracing has a relative error of
-    ``noise``.  Yields the rays cast so far."""
-    parts = parts_of(receiver, points, settings.fit and rays >= 2 * MIN_RAYS)
+    ``noise``; where nothing ``may_fit``, that may be what finds it of all that was traced.  Yields
+    the rays cast so far."""
+    parts = parts_of(receiver, points, may_fit(receiver, settings, rays))
     tracer = Tracer(points, parts, trace, rays)
-    yield from _pilot(tracer, settings)
-    ratios = _coarseness(tracer, settings, noise)
-    plans = np.where((ratios >= COARSE) & (rays >= 4 * MIN_RAYS), FINE, BOTH)
-    plans[parts.rest] = POINTS
-    first = plans == BOTH
-    if first.any():
-        yield from _first(tracer, first, settings.seed + 1)
-        trial = Values(points, parts, first, settings, noise)
-        of_points = noise**2 * (ratios + 0.5)
-        plans[_smooth(tracer, trial, first, of_points, settings)] = SMOOTH
-    yield from _main(tracer, plans, settings.seed + 2)
+    if parts.count > 1:
+        assert not callable(noise)
+        plans = yield from _planned(tracer, points, settings, noise)
+        yield from _main(tracer, plans, settings.seed + 2)
+    else:
+        plans = np.array([POINTS])
+        yield from tracer.follow(np.arange(parts.mesh.count), _inside_some(parts, settings), rays)
+        noise = noise(tracer.traced) if callable(noise) else noise
     traced = tracer.traced
     transfer = traced.values[:, : settings.order**2]
     unseen = buried(traced.origins, traced.normals, transfer, occlusion)
@@ -116,9 +113,27 @@ def pilot_error(
     return float(noise * np.sqrt(squared[parts.rest]))
 
 
-def _pilot(tracer: Tracer, settings: Settings) -> Generator[int, None, None]:
-    """Trace a place in some triangles of each part, and the points at their corners."""
-    parts = tracer.parts
+def _planned(
+    tracer: Tracer, points: Points, settings: Settings, noise: float
+) -> Generator[int, None, Index]:
+    """How each part (count,) is to be found, after a pilot and first samples."""
+    parts, rays = tracer.parts, tracer.rays
+    inside = _inside_some(parts, settings)
+    yield from tracer.follow(parts.corners_of(inside), inside, rays)
+    ratios = _coarseness(tracer, settings, noise)
+    plans = np.where((ratios >= COARSE) & (rays >= 4 * MIN_RAYS), FINE, BOTH)
+    plans[parts.rest] = POINTS
+    first = plans == BOTH
+    if first.any():
+        yield from _first(tracer, first, settings.seed + 1)
+        trial = Values(points, parts, first, settings, noise)
+        of_points = noise**2 * (ratios + 0.5)
+        plans[_smooth(tracer, trial, first, of_points, settings)] = SMOOTH
+    return plans
+
+
+def _inside_some(parts: Parts, settings: Settings) -> Places:
+    """A place in some triangles of each part: the pilot's."""
     places = []
     for part, (triangles, size) in enumerate(zip(parts.triangles(), parts.sizes(), strict=True)):
         if len(triangles):
@@ -126,8 +141,7 @@ def _pilot(tracer: Tracer, settings: Settings) -> Generator[int, None, None]:
             count = int(np.clip(size * PILOT_SHARE, low, high))
             areas = parts.surface.areas[triangles]
             places.append(stratified_places(parts.surface, triangles, areas, count, settings.seed))
-    inside = joined(places)
-    yield from tracer.follow(parts.corners_of(inside), inside, tracer.rays)
+    return joined(places)
 
 
 def _coarseness(tracer: Tracer, settings: Settings, noise: float) -> Float:
