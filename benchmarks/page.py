@@ -108,7 +108,8 @@ and before a wall, which are not baked, *open* a sheet with hills. Without fit a
 done besides, so bounces weigh more.
 """
 
-SCALE = """A displaced sheet under a thousand rocks, ten million triangles together.
+SCALE = """A displaced sheet under a thousand rocks, ten million triangles together; and a thousand
+boxes, which share nothing that an object needs.
 """
 
 RATE = """A whole bake, from arrays to arrays in the engine's own process, beside a bare embreex

@@ -2,13 +2,16 @@
 
 A displaced sheet under a thousand rocks, which together have the triangles asked for.  The sheet is
 baked at several sizes under the same rocks; what a point takes must not grow with their number.
+And a thousand boxes, as one object, as an object each, and these once more from the cache.
 The engine runs in its own process, as in a bake.
 """
 
 import argparse
 import resource
 import sys
+import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,14 +69,33 @@ def scene(points: int, triangles: int, settings: jobs.Settings) -> jobs.Job:
     receiver = sheet(points)
     ground = (receiver.vertices, receiver.triangles)
     parts = [ground, *rocks(max(0, triangles - len(receiver.triangles)))]
-    starts = np.cumsum([0, *(len(faces) for _, faces in parts)])
+    return job_of((receiver,), parts, settings)
+
+
+def boxes(count: int, apart: bool, settings: jobs.Settings) -> jobs.Job:
+    """So many boxes side by side, of 150 points each: objects of their own where ``apart``."""
+    random, side = np.random.default_rng(0), int(np.ceil(count**0.5))
+    vertices, faces = shapes.box(1.0, 4, inward=False)
+    parts = [
+        (vertices * random.uniform(0.5, 1.2, 3) + [1.5 * (i % side), 1.5 * (i // side), 0], faces)
+        for i in range(count)
+    ]
+    whole = parts if apart else [shapes.join(*parts)]
+    receivers = [shapes.receiver(*part, name=f"box {i}") for i, part in enumerate(whole)]
+    return job_of(tuple(receivers), parts, settings)
+
+
+def job_of(
+    receivers: tuple[jobs.Receiver, ...], parts: list[Mesh], settings: jobs.Settings
+) -> jobs.Job:
+    """The bake of ``receivers`` among occluders, each one of ``parts``."""
     return jobs.Job(
         settings=settings,
         light=jobs.LightSource(),
-        receivers=(receiver,),
+        receivers=receivers,
         occluder_vertices=np.concatenate([vertices for vertices, _ in parts]),
         occluder_triangles=joined([faces for _, faces in parts], [len(v) for v, _ in parts]),
-        occluder_starts=starts,
+        occluder_starts=np.cumsum([0, *(len(faces) for _, faces in parts)]),
     )
 
 
@@ -92,8 +114,22 @@ def bake(job: jobs.Job) -> tuple[Results, float]:
         return value_of(engine.run(job, folder)), time.perf_counter() - start
 
 
+def many(count: int, settings: jobs.Settings) -> str:
+    """What boxes take as one object, as an object each, and these again."""
+    with tempfile.TemporaryDirectory() as folder:
+        kept = replace(settings, cache=folder)
+        together = bake(boxes(count, False, settings))[1]
+        job = boxes(count, True, kept)
+        (results, apart), (_, again) = bake(job), bake(job)
+    points = sum(entry["points"] for entry in results.report["objects"])
+    return (
+        f"{count:,} boxes, {points:,} points: {together:.1f} s as one object, {apart:.1f} s as an "
+        f"object each, {apart / count * 1e3:.1f} ms an object; {again:.1f} s once more, unchanged"
+    )
+
+
 def main() -> None:
-    """Print a line for each size."""
+    """Print a line for each size, and one for the boxes."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--points", type=int, nargs="+", default=[10_000, 100_000, 1_000_000])
     parser.add_argument("--triangles", type=int, default=10_000_000)
@@ -101,6 +137,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--no-fit", action="store_true", help="values at the vertices alone")
     parser.add_argument("--no-residual", action="store_true")
+    parser.add_argument("--boxes", type=int, default=1000)
     asked = parser.parse_args()
     settings = jobs.Settings(
         rays=asked.rays,
@@ -124,6 +161,7 @@ def main() -> None:
             flush=True,
         )
         del job, results
+    print(many(asked.boxes, settings))
 
 
 if __name__ == "__main__":

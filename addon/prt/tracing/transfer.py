@@ -36,8 +36,8 @@ Counts = Counter[str]
 BATCH_RAYS = 32768
 PARTS = 16  # of the points that are left, so that threads end together, but
 PART_RAYS = 1 << 16, 1 << 18  # in a part no fewer and no more
-FEWEST_PARTS = 4  # of few rays, too, but of
-LITTLE = 1 << 15  # rays, which one thread casts before others have started
+FEWEST_PARTS = 4  # of few rays, too, but of less than
+LITTLE = 1 << 16  # rays, which one thread has cast before others pay
 AHEAD = 2  # pieces whose horizon is found while others are traced
 MOST_GROUPS = 1024  # in a part
 CLOSED = 4  # every so many-th ray is cast, where it is asked which may be blocked
@@ -137,7 +137,9 @@ class Tracer:
         """Of what was ``found`` of a piece, some groups of points each, neighbours where they can
         be; fewer and fewer towards the end."""
         total = len(self.points.origins) * self.rays
-        low, high = min(PART_RAYS[0], max(LITTLE, total // FEWEST_PARTS)), PART_RAYS[1]
+        low, high = PART_RAYS
+        if total >= LITTLE:
+            low = min(low, total // FEWEST_PARTS)
         for alike in found:
             groups = alike.groups
             while len(groups):
@@ -366,7 +368,7 @@ def trace_all(
         azimuth=azimuth,
     )
     counts: Counts = Counter()
-    pool = workers(settings.threads, is_little=len(points.origins) * settings.rays <= LITTLE)
+    pool = workers(settings.threads, is_little=len(points.origins) * settings.rays < LITTLE)
     pieces = iter(tracer.open_rays.pieces())
     at_work = deque[Future[Any]]()
 
