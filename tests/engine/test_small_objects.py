@@ -19,7 +19,7 @@ POINTS, INSIDE = 150, 4  # of a box, and the places inside its triangles that te
 @pytest.fixture
 def job():
     vertices, triangles = shapes.box(1.0, 4, inward=False)
-    parts = [(vertices + [1.1 * i, 0, 0], triangles) for i in range(5)]
+    parts = [(vertices + np.array([1.1 * i, 0, 0]), triangles) for i in range(5)]
     receivers = tuple(shapes.receiver(*part, name=f"box {i}") for i, part in enumerate(parts))
     starts = np.cumsum([0, *(len(t) for _, t in parts)])
     everything = shapes.join(*parts)
