@@ -47,6 +47,7 @@ HEADER = """| scene | points | rays a point | rays | bare embreex loop | whole b
 |---|---|---|---|---|---|---|---|---|---|---|"""
 BEFORE = ("light", "acceleration structure")  # phases that come before a bake's work
 ESTIMATE = "estimate"  # the phase that casts rays after the others
+LONG, MOST_TURNS = 5.0, 15  # seconds of the loop after which a few turns tell as much as more
 
 
 class Recording:
@@ -114,13 +115,13 @@ def whole_bake(scene: scenes.Scene, chosen: jobs.Settings) -> tuple[float, float
 
 
 def row(title: str, scene: scenes.Scene, rays: int, turns: int) -> str:
-    """One line of the table: medians of several turns."""
+    """One line of the table: medians of ``turns``, and of more where they are short."""
     chosen, threads = peer_ours.settings(rays=rays), available_cores()
     job = scene.job(chosen)
     cast, skips = recorded(job, all_are_cast=False)
     every = recorded(job, all_are_cast=True)[0] if skips else cast
     taken = []
-    for _ in range(turns):
+    while len(taken) < turns or (sum(t[0] for t in taken) < LONG and len(taken) < MOST_TURNS):
         bare, bake = bare_loop(every, threads), whole_bake(scene, chosen)
         taken.append((bare, *bake, bare_loop(cast, threads) if skips else bare))
     bare, whole = (

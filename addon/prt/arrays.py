@@ -15,7 +15,8 @@ Shape = Sequence[int]
 
 def write_all(path: Path, arrays: Sequence[Array]) -> list[Shape]:
     """Write ``arrays`` of any shapes into ``path``; the shapes, which ``read_all`` asks for."""
-    dtype = np.result_type(*arrays) if arrays else np.dtype(np.float32)
+    kinds = {array.dtype for array in arrays} or {np.dtype(np.float32)}
+    dtype = np.result_type(*kinds)
     shapes: list[Shape] = [array.shape for array in arrays]
     header = {"descr": dtype.str, "fortran_order": False, "shape": (sum(map(prod, shapes)),)}
     with path.open("wb") as file:

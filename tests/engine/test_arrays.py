@@ -6,7 +6,14 @@ from prt_baker.addon.prt.arrays import read_all, write_all
 @pytest.mark.parametrize("mapped", [False, True])
 @pytest.mark.parametrize(
     "shapes",
-    [[], [(0, 3)], [(2, 3)], [(0, 3), (5, 3), (0, 0, 3), (1, 1, 9), (4, 3)], [(0,), (7,), (0,)]],
+    [
+        [],
+        [(0, 3)],
+        [(2, 3)],
+        [(0, 3), (5, 3), (0, 0, 3), (1, 1, 9), (4, 3)],
+        [(0,), (7,), (0,)],
+        [(1, 3)] * 100,
+    ],
 )
 def test_what_is_written_comes_back(tmp_path, shapes, mapped):
     random = np.random.default_rng(0)
