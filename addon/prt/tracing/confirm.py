@@ -6,7 +6,7 @@ of light.  So there three more rays are cast about each one that came through, s
 edge of two triangles takes more than one of them, and two of them have to come through too.
 """
 
-from math import pi
+from math import cos, pi, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,8 @@ Array = npt.NDArray[np.float32]
 NEARLY_DARK = 1 / 32  # of the rays reach the sky
 ASIDE = 5e-4  # radians: wider than a slit that rounding makes looks from afar
 BESIDE = 2.0**-21  # of an origin's largest coordinate, 4 steps of float32: and than it is nearby
-CASTS = 3  # to confirm a ray
+CASTS = 3  # to confirm a ray, evenly about it:
+AROUND = np.array([(cos(k * 2 * pi / CASTS), sin(k * 2 * pi / CASTS)) for k in range(CASTS)], "f4")
 
 
 def doubtful(visible: Array, occlusion: Occlusion) -> npt.NDArray[np.bool_]:
@@ -36,10 +37,10 @@ def confirmed(occlusion: Occlusion, origins: Array, directions: Array) -> Array:
     rays each."""
     if not len(directions):
         return np.zeros(0, np.float32)
-    angles = np.repeat(np.arange(CASTS) * (2 * pi / CASTS), len(directions))
-    starts, towards = (np.tile(values, (CASTS, 1)) for values in (origins, directions))
-    sideways = frames(towards, angles).matrices()[:, :, 0]
-    starts += BESIDE * np.abs(starts).max(axis=1, keepdims=True) * sideways
-    towards += ASIDE * sideways
+    across = frames(directions, np.zeros(len(directions))).matrices()
+    sideways = [across[:, :, 0] * c + across[:, :, 1] * s for c, s in AROUND]
+    beside = BESIDE * np.abs(origins).max(axis=1, keepdims=True)
+    starts = np.concatenate([origins + beside * aside for aside in sideways])
+    towards = np.concatenate([directions + ASIDE * aside for aside in sideways])
     clear = -occlusion.sky_mask(starts, towards).reshape(CASTS, -1).sum(axis=0)
     return (2 * clear > CASTS).astype(np.float32)

@@ -17,8 +17,15 @@ from ..parallel import workers
 Vectors = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.int32]
 CLEAR, BLOCKED = -1, 0  # embreex's own codes
+ONE = np.float32(1).view(np.int32)  # CLEAR has all of its bits, and BLOCKED none
 PIECE = 8192  # rays
 FAST_PAYS = 120  # rays a triangle: what they save pays twice for the second structure
+
+
+def as_visible(mask: Mask) -> Vectors:
+    """1 where ``mask`` (R,) is CLEAR and 0 where it is BLOCKED, in its own memory."""
+    mask &= ONE
+    return mask.view(np.float32)
 
 
 class Occlusion(Protocol):

@@ -25,7 +25,7 @@ from .hemisphere import GROUP, RaysInWorld, Turn, frames, hemisphere_set, rays_i
 from .horizon import Horizon
 from .looking import Look, Shown, Split
 from .open_rays import Alike, OpenRays, turns
-from .rays import BLOCKED, Mask, Occlusion
+from .rays import BLOCKED, Occlusion, as_visible
 from .visibility import VisibilitySet
 
 Array = npt.NDArray[np.float32]
@@ -307,18 +307,17 @@ class Tracer:
         if len(split.ones_and_local):
             clear = self._sky(self._others_in_world, origins, matrices, split.others_before)
             visible[:, split.others] = clear
-            hit = (1 - clear).astype(np.float32)
-            np.matmul(hit[:, None], split.ones_and_local, out=others)
+            np.matmul((1 - clear)[:, None], split.ones_and_local, out=others)
         if not len(split.rays):
             return
         some = self._rays(self._chosen_in_world, origins, matrices, split.mine_before)
         mask = look(Shown(batch.numbers, split.rays, split.local, *some, others[:, 0]))
         visible[:, split.mine] = -mask.reshape(count, len(split.rays))
 
-    def _sky(self, in_world: RaysInWorld, origins: Array, matrices: Array, first: int = 0) -> Mask:
+    def _sky(self, in_world: RaysInWorld, origins: Array, matrices: Array, first: int = 0) -> Array:
         """1 where the rays (P, N) of P points, but the ``first`` ones, reach the sky, else 0."""
         mask = self._occlusion.sky_mask(*self._rays(in_world, origins, matrices, first))
-        return np.negative(mask).reshape(len(origins), in_world.count - first)
+        return as_visible(mask).reshape(len(origins), in_world.count - first)
 
     def _rays(
         self, in_world: RaysInWorld, origins: Array, matrices: Array, first: int
