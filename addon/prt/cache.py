@@ -102,7 +102,7 @@ class Cache:
         files, now = sorted(_files(folder), reverse=True), time.time()
         abandoned = [path for used, _, path in files if _is_abandoned(path, now - used)]
         kept = [file for file in files if file[2].suffix == SUFFIX]
-        total = sum(size for _, size, _ in kept)
+        total = sum(its for _, its, _ in kept)
         limit = self._limit - size
         if total > limit:
             limit = min(limit, self._limit - self._limit // SPARE)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from ..tracing.confirm import CASTS, confirmed
 from ..tracing.gathering import Batch
-from ..tracing.rays import Occlusion
+from ..tracing.rays import Occlusion, as_visible
 from ..tracing.transfer import MAP_RAYS, NOTHING_ABOVE, Counts
 from .exact import ExactLight
 from .peaks import PeakRays
@@ -80,7 +80,7 @@ def _sees(
         counts[NOTHING_ABOVE] += len(point) - len(traced)
     origins = batch.origins[point[traced]]
     if len(origins):
-        visible[traced] = -occlusion.sky_mask(origins, directions[traced])
+        visible[traced] = as_visible(occlusion.sky_mask(origins, directions[traced]))
         again = np.flatnonzero(batch.doubtful[point] & (visible > 0))
         visible[again] = confirmed(occlusion, batch.origins[point[again]], directions[again])
         counts[MAP_RAYS] += len(origins) + CASTS * len(again)

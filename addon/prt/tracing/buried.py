@@ -15,7 +15,7 @@ from .. import sh
 from ..job import Receiver
 from ..surface.points import Points, element_triangles
 from . import identity
-from .hemisphere import RaysInWorld, cosine_fibonacci, frames
+from .hemisphere import frames, rays_in_world
 from .rays import Occlusion
 
 Array = npt.NDArray[np.float32]
@@ -35,7 +35,7 @@ def buried(
     backs of triangles."""
     found = np.zeros(len(origins), bool)
     dark = np.flatnonzero(is_dark(transfer))
-    in_world = RaysInWorld(cosine_fibonacci(RAYS).astype(np.float32))
+    in_world = rays_in_world(RAYS)
     for start in range(0, len(dark), CHUNK):
         some = dark[start : start + CHUNK]
         starts, directions = np.empty((2, len(some) * RAYS, 3), np.float32)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .hemisphere import frames
-from .rays import Occlusion
+from .rays import Occlusion, as_visible
 
 Array = npt.NDArray[np.float32]
 
@@ -42,5 +42,5 @@ def confirmed(occlusion: Occlusion, origins: Array, directions: Array) -> Array:
     beside = BESIDE * np.abs(origins).max(axis=1, keepdims=True)
     starts = np.concatenate([origins + beside * aside for aside in sideways])
     towards = np.concatenate([directions + ASIDE * aside for aside in sideways])
-    clear = -occlusion.sky_mask(starts, towards).reshape(CASTS, -1).sum(axis=0)
+    clear = as_visible(occlusion.sky_mask(starts, towards)).reshape(CASTS, -1).sum(axis=0)
     return (2 * clear > CASTS).astype(np.float32)

@@ -104,6 +104,7 @@ class Tracer:
         azimuth: npt.NDArray[np.float64] | None = None,
     ) -> None:
         self.points, self.rays, self._occlusion = points, settings.rays, occlusion
+        self.is_little = len(points.origins) * settings.rays < LITTLE
         if azimuth is None:
             random = np.random.default_rng([settings.seed, settings.rays])
             azimuth = random.random(len(points.origins)) * (2 * np.pi)
@@ -136,10 +137,9 @@ class Tracer:
     def parts(self, found: list[Alike]) -> Iterator[Alike]:
         """Of what was ``found`` of a piece, some groups of points each, neighbours where they can
         be; fewer and fewer towards the end."""
-        total = len(self.points.origins) * self.rays
         low, high = PART_RAYS
-        if total >= LITTLE:
-            low = min(low, total // FEWEST_PARTS)
+        if not self.is_little:
+            low = min(low, len(self.points.origins) * self.rays // FEWEST_PARTS)
         for alike in found:
             groups = alike.groups
             while len(groups):
@@ -367,7 +367,7 @@ def trace_all(
         azimuth=azimuth,
     )
     counts: Counts = Counter()
-    pool = workers(settings.threads, is_little=len(points.origins) * settings.rays < LITTLE)
+    pool = workers(settings.threads, is_little=tracer.is_little)
     pieces = iter(tracer.open_rays.pieces())
     at_work = deque[Future[Any]]()
 

@@ -7,7 +7,8 @@ samples with fewer rays each find the values whose interpolation is nearest.  Wh
 and the rays are few too, what is traced at the points is hard to beat, and some samples inside
 do no harm.  A pilot in some triangles tells the second case, and how well a fit to the first
 samples predicts others the first from the third.  The rays of both are part of the whole, and
-their places are samples.
+their places are samples.  Where nothing may be fitted there is nothing to tell: all is traced at
+once.
 """
 
 from collections.abc import Callable, Generator
@@ -64,7 +65,7 @@ def solve(
     tracer = Tracer(points, parts, trace, rays)
     if parts.count > 1:
         assert not callable(noise)
-        plans = yield from _planned(tracer, points, settings, noise)
+        plans = yield from _planned(tracer, settings, noise)
         yield from _main(tracer, plans, settings.seed + 2)
     else:
         plans = np.array([POINTS])
@@ -113,9 +114,7 @@ def pilot_error(
     return float(noise * np.sqrt(squared[parts.rest]))
 
 
-def _planned(
-    tracer: Tracer, points: Points, settings: Settings, noise: float
-) -> Generator[int, None, Index]:
+def _planned(tracer: Tracer, settings: Settings, noise: float) -> Generator[int, None, Index]:
     """How each part (count,) is to be found, after a pilot and first samples."""
     parts, rays = tracer.parts, tracer.rays
     inside = _inside_some(parts, settings)
@@ -126,7 +125,7 @@ def _planned(
     first = plans == BOTH
     if first.any():
         yield from _first(tracer, first, settings.seed + 1)
-        trial = Values(points, parts, first, settings, noise)
+        trial = Values(tracer.points, parts, first, settings, noise)
         of_points = noise**2 * (ratios + 0.5)
         plans[_smooth(tracer, trial, first, of_points, settings)] = SMOOTH
     return plans
