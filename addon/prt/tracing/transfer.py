@@ -34,7 +34,7 @@ Bits = npt.NDArray[np.uint8]
 Counts = Counter[str]
 
 BATCH_RAYS = 32768
-PARTS = 16  # of the points that are left, so that threads end together, but
+PARTS = 8  # of the points that are left, so that threads end together, but
 PART_RAYS = 1 << 16, 1 << 18  # in a part no fewer and no more
 FEWEST_PARTS = 4  # of few rays, too
 LITTLE = 1 << 16  # rays: fewer are cast by the thread that asks, before others would have begun
