@@ -23,7 +23,7 @@ from .tape import PlaceTape, Remembered, Tape
 from .tracing.flats import Parts, fewer
 from .tracing.rays import Geometry, occlusion
 from .tracing.surroundings import Surroundings
-from .tracing.tolerance import FALL, Effort, effort, estimate_error
+from .tracing.tolerance import ESTIMATE_POINTS, FALL, Effort, effort, estimate_error, spread
 from .tracing.transfer import CAST, MAP_RAYS, Counts, Shortcuts, trace_all
 from .vertex.parts import may_fit
 from .vertex.solver import Solved, pilot_error, solve
@@ -302,15 +302,17 @@ class Bake(ABC, Generic[What]):
         falls with rays."""
         if not len(traced.rays):
             return 0.0
-        usual = int(np.bincount(traced.rays).argmax())
-        mine = traced.rays == usual
+        counts = np.bincount(traced.rays)
+        usual = int(counts.argmax())
+        mine = np.flatnonzero(traced.rays == usual)
+        mine = mine[spread(len(mine), ESTIMATE_POINTS)]
         places = Points(traced.origins[mine], traced.normals[mine], self._points.element_points[:0])
         transfer = traced.values[mine, : self._settings.order**2]
         settings = replace(self._settings, rays=usual)
         error, cast = estimate_error(places, self._occlusion, settings, transfer)
         self._counts[CAST] += cast
-        others = (usual / np.maximum(traced.rays, 1)) ** FALL
-        return error * float(np.sqrt(np.mean(others**2)))
+        noisier = (usual / np.maximum(np.arange(len(counts)), 1)) ** FALL
+        return error * float(np.sqrt(np.average(noisier**2, weights=counts)))
 
     def result(self, solved: Found) -> ReceiverResult:
         """The values of ``solved``, apart."""

@@ -10,6 +10,7 @@ surface by a bias that scales with the coordinates' float32 spacing.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from ..mixing import mixed
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 Codes = npt.NDArray[np.uint64]
+Chosen = Index | slice
 
 INWARD = 0.01  # share of the way to the host's centroid
 BIAS = 2.0**-19  # of the largest coordinate nearby: 16 steps of float32
@@ -46,12 +48,11 @@ class Points:
 
 @dataclass(frozen=True)
 class Surface:
-    """A receiver's triangles in float64: corner positions (F, 3, 3), unit geometric normals
-    (F, 3), and which of them have an area."""
+    """A receiver's ``triangles`` (F, 3) of vertices in float64, as ``columns`` (3, V), and their
+    ``areas`` (F,)."""
 
-    corners: Float
-    normals: Float
-    solid: npt.NDArray[np.bool_]
+    columns: Float
+    triangles: npt.NDArray[np.int32]
     areas: Float
 
     @classmethod
@@ -59,18 +60,51 @@ class Surface:
         """The surface of ``receiver``, found in pieces that stay in the processor's cache."""
         columns = np.ascontiguousarray(np.asarray(receiver.vertices).T, np.float64)
         triangles = np.asarray(receiver.triangles)
-        count = len(triangles)
-        corners, normals = np.empty((count, 3, 3)), np.empty((count, 3))
-        double_area = np.empty(count)
-        for part in _pieces(count):
-            its = _corners(columns, triangles[part])
-            cross = _cross(its[1] - its[0], its[2] - its[0])
+        areas = np.empty(len(triangles))
+        for part in _pieces(len(triangles)):
+            a, b, c = _corners(columns, triangles[part])
+            cross = _cross(b - a, c - a)
+            areas[part] = 0.5 * np.sqrt(_dot(cross, cross))
+        return cls(columns, triangles, areas)
+
+    @property
+    def solid(self) -> npt.NDArray[np.bool_]:
+        """Which triangles (F,) have an area."""
+        return self.areas > 0
+
+    @cached_property
+    def corners(self) -> Float:
+        """The positions (F, 3, 3) of all corners."""
+        return self.corners_of(slice(None))
+
+    @cached_property
+    def normals(self) -> Float:
+        """Unit geometric normals (F, 3) of all triangles, 0 where they have no area."""
+        return self.normals_of(slice(None))
+
+    def corners_of(self, chosen: Chosen) -> Float:
+        """The positions (M, 3, 3) of the corners of some triangles."""
+        triangles = self.triangles[chosen]
+        corners = np.empty((len(triangles), 3, 3))
+        for part in _pieces(len(triangles)):
+            for k, its in enumerate(_corners(self.columns, triangles[part])):
+                corners[part, k] = its.T
+        return corners
+
+    def normals_of(self, chosen: Chosen) -> Float:
+        """The unit geometric normals (M, 3) of some triangles."""
+        triangles = self.triangles[chosen]
+        normals = np.empty((len(triangles), 3))
+        for part in _pieces(len(triangles)):
+            a, b, c = _corners(self.columns, triangles[part])
+            cross = _cross(b - a, c - a)
             double = np.sqrt(_dot(cross, cross))
             normals[part] = (cross / np.where(double > 0, double, 1)).T
-            for k in range(3):
-                corners[part, k] = its[k].T
-            double_area[part] = double
-        return cls(corners, normals, double_area > 0, 0.5 * double_area)
+        return normals
+
+    def only(self, chosen: npt.NDArray[np.bool_]) -> "Surface":
+        """The ``chosen`` (F,) of its triangles."""
+        return Surface(self.columns, self.triangles[chosen], self.areas[chosen])
 
 
 def element_triangles(receiver: Receiver) -> npt.NDArray[np.int32]:

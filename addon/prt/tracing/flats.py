@@ -12,8 +12,6 @@ from math import pi
 import numpy as np
 import numpy.typing as npt
 
-from ..mixing import mixed
-
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
@@ -24,6 +22,7 @@ FEWEST, SHARE = 512, 1 / 64  # triangles, and of all triangles, that a grid has 
 TURNS = 16  # directions in which a polygon's corners are sought
 LINE = 2.0**-21  # of a polygon's extent: so near its sides the border lies
 AREA = 1e-3  # of the polygon's: the areas add up to it but for this
+PIECE = 1 << 14  # triangles that are looked at together
 CROSSING = 2  # vertices of other things at a side, where these cross it: more may lie along it
 
 
@@ -131,18 +130,21 @@ def _polygon(places: Float, triangles: Triangles, used: Bools) -> Index:
     faces_one_way = (areas > 0).all() or (areas < 0).all()
     if not faces_one_way or abs(abs(areas.sum()) - whole) > AREA * whole:
         return none
+    on_sides = _depths(places, places[corners]) < _near(places[corners])
+    rows = np.flatnonzero(on_sides.any(axis=0)[triangles].sum(axis=1) > 1)
     inside = np.ones(triangles.shape, bool)
-    near = _near(places[corners])
-    for depth in _depths(places, places[corners]):
-        on_side = (depth < near)[triangles]
-        inside &= ~(on_side & np.roll(on_side, -1, axis=1))
-    return corners if _closed(triangles, inside) else none
+    for on_side in on_sides[:, triangles[rows]]:
+        inside[rows] &= ~(on_side & np.roll(on_side, -1, axis=1))
+    return corners if _closed(triangles, inside, len(places)) else none
 
 
 def _areas(places: Float, triangles: npt.NDArray[np.integer]) -> Float:
     """Twice the signed areas (F,)."""
-    a, b, c = (places[triangles[:, k]].T for k in range(3))
-    return np.asarray((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+    columns, areas = np.ascontiguousarray(places.T), np.empty(len(triangles))
+    for part in _pieces(len(triangles)):
+        x, y = columns.take(triangles[part].T, axis=1)
+        areas[part] = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
+    return areas
 
 
 def _near(corners: Float) -> float:
@@ -163,12 +165,25 @@ def _depths(places: Float, corners: Float) -> Float:
     )
 
 
-def _closed(triangles: Triangles, chosen: Bools) -> bool:
-    """Whether the ``chosen`` edges (F, 3) are each run through as often one way as the other: sums
-    of random numbers are the same."""
-    start, end = triangles[chosen], np.roll(triangles, -1, axis=1)[chosen]
-    numbers = mixed((np.minimum(start, end), np.maximum(start, end)))
-    return bool(numbers[start < end].sum() == numbers[start > end].sum())
+def _closed(triangles: Triangles, chosen: Bools, count: int) -> bool:
+    """Whether the ``chosen`` edges (F, 3), of so many vertices, are each run through as often one
+    way as the other.
+
+    With random numbers x and y of the vertices an edge from i to j counts as x_i y_j - x_j y_i,
+    which turns its sign with the way; the sum, modulo 2^64, is a form in all x and y that vanishes
+    by chance alone unless the edges do one by one."""
+    x, y = np.random.default_rng(0).integers(1 << 64, size=(2, count), dtype=np.uint64)
+    sums = []
+    for part in _pieces(len(triangles)):
+        its_x, its_y = x.take(triangles[part].T), y.take(triangles[part].T)
+        for i, mine in enumerate(chosen[part].T):
+            j = (i + 1) % 3
+            sums.append(((its_x[i] * its_y[j] - its_x[j] * its_y[i]) * mine).sum(dtype=np.uint64))
+    return bool(np.array(sums, np.uint64).sum() == 0)
+
+
+def _pieces(count: int) -> list[slice]:
+    return [slice(start, start + PIECE) for start in range(0, count, PIECE)]
 
 
 def _fan(corners: Index) -> Index:

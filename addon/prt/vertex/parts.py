@@ -56,9 +56,12 @@ class Parts:
         return (1 - BY_COUNT) * areas / areas.sum() + BY_COUNT / max(1, len(areas))
 
     def homes(self) -> Places:
-        """Every point as a place in one of its triangles; all of it 0 where it has none."""
+        """Every point as a place in one of its triangles; all of it 0 where it has none, and where
+        nothing is fitted, so that nobody asks."""
         corners, count = self.mesh.corners, self.mesh.count
         triangles, barycentric = np.zeros(count, np.int64), np.zeros((count, 3))
+        if self.count == 1:
+            return Places(triangles, barycentric)
         for k in range(3):
             triangles[corners[:, k]] = np.arange(len(corners))
         if len(corners):
@@ -91,8 +94,7 @@ def parts_of(receiver: Receiver, points: Points, may_fit: bool) -> Parts:
     sound = whole.solid & (a >= 0) & (b >= 0) & (c >= 0) & (a != b) & (b != c) & (c != a)
     surface = whole
     if not sound.all():
-        surface = Surface(*(values[sound] for values in vars(whole).values()))
-        rows = rows[sound]
+        surface, rows = whole.only(sound), rows[sound]
     count = len(points.origins)
     if not may_fit:
         bare = unjoined(rows, surface.areas, count)

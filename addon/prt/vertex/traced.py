@@ -15,6 +15,7 @@ from .parts import Parts, joined
 Array = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
+FEW = 64  # one place of so many may lie anywhere
 FALL = 0.77  # a Fibonacci set's error is as its rays to the minus this
 
 
@@ -109,16 +110,15 @@ class Tracer(Caster):
         starting, facing = starts(self.parts.surface, corners, self.points.normals, inside)
         origins = _rows(self.points.origins[point], starting)
         normals = _rows(self.points.normals[point], facing)
-        # the points are in the order of a Z curve
-        order = np.arange(len(point))
-        if len(inside):
+        numbers = np.concatenate([point, np.full(len(inside), -1)])
+        places = joined([self._homes[point], inside])
+        if len(inside) * FEW > len(point):  # else they are in the order of a Z curve, but for a few
             order = morton_order(origins.astype(np.float64))
-        origins, normals = origins[order], normals[order]
+            origins, normals = origins[order], normals[order]
+            numbers, places = numbers[order], places[order]
         values = yield from self.cast_from(origins, normals, rays)
-        numbers = np.concatenate([point, np.full(len(inside), -1)])[order]
-        places = joined([self._homes[point], inside])[order]
-        noisier = np.full(len(order), (self.rays / rays) ** FALL)
-        rays_of = np.full(len(order), rays)
+        noisier = np.full(len(numbers), (self.rays / rays) ** FALL)
+        rays_of = np.full(len(numbers), rays)
         self._found.append(Traced(origins, normals, values, numbers, places, rays_of, noisier))
 
     def left(self) -> Float:

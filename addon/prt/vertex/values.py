@@ -54,12 +54,12 @@ class Values:
 
     def as_traced(self, traced: Traced, unseen: Mask) -> tuple[Array, Mask]:
         """As ``values``, without any fit."""
-        values = np.zeros((self._parts.mesh.count, traced.values.shape[1]), np.float32)
-        hidden = np.zeros(len(values), bool)
-        at = traced.point >= 0
-        values[traced.point[at]] = traced.values[at]
-        hidden[traced.point[at]] = unseen[at]
-        values[hidden] = 0
+        at = np.flatnonzero(traced.point >= 0)
+        row = np.full(self._parts.mesh.count, -1)
+        row[traced.point[at]] = at
+        values, hidden = traced.values.take(row, 0, mode="wrap"), unseen.take(row, mode="wrap")
+        hidden &= row >= 0
+        values[hidden | (row < 0)] = 0
         return values, hidden
 
     def keep_better(self, traced: Traced, shown: Array, has_points: Mask) -> None:
