@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapes
-from prt_baker.addon.prt.tracing import rays
+from prt_baker.addon.prt.tracing import flats, rays
 from prt_baker.addon.prt.tracing.flats import Parts, fewer
 
 COUNT = 20  # squares along a side: 800 triangles
@@ -98,6 +98,15 @@ def of_two_sides():
 def test_what_is_no_whole_convex_polygon_stays(mesh):
     after, before = fewer_of(mesh())
     np.testing.assert_array_equal(after, before)
+
+
+def test_pieces_tell_the_same(monkeypatch):
+    monkeypatch.setattr(flats, "PIECE", 7)
+    found, _ = fewer_of(floor())
+    assert len(found) == 2
+    for mesh in (torn, doubled_beside_a_hole):
+        after, before = fewer_of(mesh())
+        np.testing.assert_array_equal(after, before)
 
 
 def test_small_grids_stay():

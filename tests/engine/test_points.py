@@ -108,6 +108,27 @@ def test_a_point_lies_in_the_triangle_with_the_widest_angle():
     assert y > x / 4  # above the edge from vertex 0 to vertex 2, in the second triangle
 
 
+def test_a_surface_tells_of_some_triangles_what_it_does_of_all(monkeypatch):
+    monkeypatch.setattr(points, "PIECE", 7)
+    vertices, triangles, _ = shapes.sphere(12, 24)
+    triangles = np.concatenate([triangles, [[0, 5, 5]]])  # without an area
+    surface = points.Surface.of(shapes.receiver(vertices, triangles))
+    np.testing.assert_array_equal(surface.corners, surface.columns.T[triangles])
+    a, b, c = surface.corners.transpose(1, 0, 2)
+    cross = np.cross(b - a, c - a)
+    np.testing.assert_allclose(surface.normals * 2 * surface.areas[:, None], cross, atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(surface.normals, axis=1), surface.solid, rtol=1e-12, atol=0
+    )
+    assert not surface.solid[-1]
+    some = np.array([40, 3, len(triangles) - 1, 3])
+    np.testing.assert_array_equal(surface.corners_of(some), surface.corners[some])
+    np.testing.assert_array_equal(surface.normals_of(some), surface.normals[some])
+    solid = surface.only(surface.solid)
+    np.testing.assert_array_equal(solid.corners, surface.corners[:-1])
+    np.testing.assert_array_equal(solid.areas, surface.areas[:-1])
+
+
 @pytest.mark.parametrize("domain", ["POINT", "CORNER"])
 def test_pieces_change_nothing(domain, monkeypatch):
     vertices, triangles, normals = shapes.sphere(24, 48)
