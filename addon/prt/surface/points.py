@@ -22,7 +22,6 @@ from ..mixing import mixed
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 Codes = npt.NDArray[np.uint64]
-Chosen = Index | slice
 
 INWARD = 0.01  # share of the way to the host's centroid
 BIAS = 2.0**-19  # of the largest coordinate nearby: 16 steps of float32
@@ -48,24 +47,23 @@ class Points:
 
 @dataclass(frozen=True)
 class Surface:
-    """A receiver's ``triangles`` (F, 3) of vertices in float64, as ``columns`` (3, V), and their
+    """A receiver's ``vertices`` (V, 3) in float64, the ``triangles`` (F, 3) of these, and their
     ``areas`` (F,)."""
 
-    columns: Float
+    vertices: Float
     triangles: npt.NDArray[np.int32]
     areas: Float
 
     @classmethod
     def of(cls, receiver: Receiver) -> "Surface":
         """The surface of ``receiver``, found in pieces that stay in the processor's cache."""
-        columns = np.ascontiguousarray(np.asarray(receiver.vertices).T, np.float64)
-        triangles = np.asarray(receiver.triangles)
-        areas = np.empty(len(triangles))
+        vertices, triangles = np.asarray(receiver.vertices), np.asarray(receiver.triangles)
+        columns, areas = np.ascontiguousarray(vertices.T, np.float64), np.empty(len(triangles))
         for part in _pieces(len(triangles)):
             a, b, c = _corners(columns, triangles[part])
             cross = _cross(b - a, c - a)
             areas[part] = 0.5 * np.sqrt(_dot(cross, cross))
-        return cls(columns, triangles, areas)
+        return cls(np.ascontiguousarray(vertices, np.float64), triangles, areas)
 
     @property
     def solid(self) -> npt.NDArray[np.bool_]:
@@ -75,36 +73,32 @@ class Surface:
     @cached_property
     def corners(self) -> Float:
         """The positions (F, 3, 3) of all corners."""
-        return self.corners_of(slice(None))
+        return self.corners_of(self.triangles)
 
     @cached_property
     def normals(self) -> Float:
         """Unit geometric normals (F, 3) of all triangles, 0 where they have no area."""
-        return self.normals_of(slice(None))
+        return unit_normals(self.corners)
 
-    def corners_of(self, chosen: Chosen) -> Float:
-        """The positions (M, 3, 3) of the corners of some triangles."""
-        triangles = self.triangles[chosen]
-        corners = np.empty((len(triangles), 3, 3))
-        for part in _pieces(len(triangles)):
-            for k, its in enumerate(_corners(self.columns, triangles[part])):
-                corners[part, k] = its.T
-        return corners
-
-    def normals_of(self, chosen: Chosen) -> Float:
-        """The unit geometric normals (M, 3) of some triangles."""
-        triangles = self.triangles[chosen]
-        normals = np.empty((len(triangles), 3))
-        for part in _pieces(len(triangles)):
-            a, b, c = _corners(self.columns, triangles[part])
-            cross = _cross(b - a, c - a)
-            double = np.sqrt(_dot(cross, cross))
-            normals[part] = (cross / np.where(double > 0, double, 1)).T
-        return normals
+    def corners_of(self, triangles: npt.NDArray[np.int32]) -> Float:
+        """The positions (M, 3, 3) of the corners of ``triangles`` (M, 3)."""
+        return np.asarray(self.vertices.take(triangles, axis=0))
 
     def only(self, chosen: npt.NDArray[np.bool_]) -> "Surface":
         """The ``chosen`` (F,) of its triangles."""
-        return Surface(self.columns, self.triangles[chosen], self.areas[chosen])
+        return Surface(self.vertices, self.triangles[chosen], self.areas[chosen])
+
+
+def unit_normals(corners: Float) -> Float:
+    """The unit geometric normals (M, 3) of triangles with ``corners`` (M, 3, 3), 0 where they have
+    no area."""
+    normals = np.empty((len(corners), 3))
+    for part in _pieces(len(corners)):
+        a, b, c = np.ascontiguousarray(corners[part].transpose(1, 2, 0))
+        cross = _cross(b - a, c - a)
+        double = np.sqrt(_dot(cross, cross))
+        normals[part] = (cross / np.where(double > 0, double, 1)).T
+    return normals
 
 
 def element_triangles(receiver: Receiver) -> npt.NDArray[np.int32]:
