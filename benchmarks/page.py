@@ -19,7 +19,7 @@ from scenes import CACHE
 
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "docs" / "benchmarks.md"
-BLENDERS = re.compile(r"\d+:\d\d\.\d+ ")  # its log, which begins with the time
+BLENDERS = re.compile(r"[\d:]+:\d\d\.\d+ ")  # its log, which begins with the time
 PACKAGES = ("bpy", "numpy", "embreex", "OpenEXR", "mitsuba", "nilearn")
 
 HEAD = """# Benchmarks
