@@ -38,7 +38,7 @@ class Effort:
     target_seconds: float
 
 
-SHORT = Effort(points=1500, turns=2, seconds=4.0, target_seconds=10.0)
+SHORT = Effort(points=1500, turns=2, seconds=4.0, target_seconds=16.0)
 FULL = Effort(points=2000, turns=2, seconds=8.0, target_seconds=40.0)
 TARGETS = ("knot", "cortex", "field")
 
