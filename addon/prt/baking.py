@@ -23,7 +23,7 @@ from .tape import PlaceTape, Remembered, Tape
 from .tracing.flats import Parts, fewer
 from .tracing.rays import Geometry, occlusion
 from .tracing.surroundings import Surroundings
-from .tracing.tolerance import ESTIMATE_POINTS, FALL, Effort, effort, estimate_error, spread
+from .tracing.tolerance import FALL, Effort, effort, estimate_error
 from .tracing.transfer import CAST, MAP_RAYS, Counts, Shortcuts, trace_all
 from .vertex.parts import may_fit
 from .vertex.solver import Solved, pilot_error, solve
@@ -305,11 +305,10 @@ class Bake(ABC, Generic[What]):
         counts = np.bincount(traced.rays)
         usual = int(counts.argmax())
         mine = np.flatnonzero(traced.rays == usual)
-        mine = mine[spread(len(mine), ESTIMATE_POINTS)]
-        places = Points(traced.origins[mine], traced.normals[mine], self._points.element_points[:0])
-        transfer = traced.values[mine, : self._settings.order**2]
+        places = Points(traced.origins, traced.normals, self._points.element_points[:0])
+        transfer = traced.values[:, : self._settings.order**2]
         settings = replace(self._settings, rays=usual)
-        error, cast = estimate_error(places, self._occlusion, settings, transfer)
+        error, cast = estimate_error(places, self._occlusion, settings, transfer, mine)
         self._counts[CAST] += cast
         noisier = (usual / np.maximum(np.arange(len(counts)), 1)) ** FALL
         return error * float(np.sqrt(np.average(noisier**2, weights=counts)))

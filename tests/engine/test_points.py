@@ -122,8 +122,8 @@ def test_a_surface_tells_of_some_triangles_what_it_does_of_all(monkeypatch):
     )
     assert not surface.solid[-1]
     some = np.array([40, 3, len(triangles) - 1, 3])
-    np.testing.assert_array_equal(surface.corners_of(triangles[some]), surface.corners[some])
-    np.testing.assert_array_equal(points.unit_normals(surface.corners[some]), surface.normals[some])
+    np.testing.assert_array_equal(surface.corners_of(some), surface.corners[some])
+    np.testing.assert_array_equal(points.face_normals(surface.corners[some]), surface.normals[some])
     solid = surface.only(surface.solid)
     np.testing.assert_array_equal(solid.corners, surface.corners[:-1])
     np.testing.assert_array_equal(solid.areas, surface.areas[:-1])

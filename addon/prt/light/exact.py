@@ -12,7 +12,6 @@ up to 1 whatever the cells leave out.  Cells of half a degree are no better: wha
 is bright, and the map's own rays find it; the mean over a cell has less noise.
 """
 
-from collections.abc import Iterator
 from copy import copy
 from math import pi
 from typing import Any
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..slices import slices
 from .map_sampler import LUMINANCE, SETS, Blocks, Candidates, MapSampler
 from .open_irradiance import OpenIrradiance
 
@@ -140,7 +140,7 @@ class ExactLight:
         """
         out = self.open_exit_radiance(normals)
         rays = max(1, len(cosines) + self.map_rays)
-        for part in _slices(len(normals), max(1, BATCH_RAYS // rays)):
+        for part in slices(len(normals), max(1, BATCH_RAYS // rays)):
             first, last = np.searchsorted(point, [part.start, part.stop])
             seen, whole = self._of_cosine_rays(cosines, directions[part], visible[part])
             map_seen, map_whole = self._of_map_rays(
@@ -175,10 +175,6 @@ class ExactLight:
         densities = self._densities.take(chosen, axis=0)
         weights = cosines / (cosines * np.float32(cosine_rays / pi) + densities)
         return _sums(weights, self._values.take(chosen, axis=0), visible)
-
-
-def _slices(count: int, size: int) -> Iterator[slice]:
-    return (slice(i, min(i + size, count)) for i in range(0, count, size))
 
 
 def _sums(weights: Array, values: Array, visible: npt.NDArray[Any]) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ Ray Tracing Gems II, ch. 4), so that a smooth convex mesh doesn't shadow itself;
 surface by a bias that scales with the coordinates' float32 spacing.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from ..job import Receiver
 from ..mixing import mixed
+from ..slices import slices
 
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -59,7 +60,7 @@ class Surface:
         """The surface of ``receiver``, found in pieces that stay in the processor's cache."""
         vertices, triangles = np.asarray(receiver.vertices), np.asarray(receiver.triangles)
         columns, areas = np.ascontiguousarray(vertices.T, np.float64), np.empty(len(triangles))
-        for part in _pieces(len(triangles)):
+        for part in slices(len(triangles), PIECE):
             a, b, c = _corners(columns, triangles[part])
             cross = _cross(b - a, c - a)
             areas[part] = 0.5 * np.sqrt(_dot(cross, cross))
@@ -73,31 +74,28 @@ class Surface:
     @cached_property
     def corners(self) -> Float:
         """The positions (F, 3, 3) of all corners."""
-        return self.corners_of(self.triangles)
+        return self.corners_of(slice(None))
 
     @cached_property
     def normals(self) -> Float:
         """Unit geometric normals (F, 3) of all triangles, 0 where they have no area."""
-        return unit_normals(self.corners)
+        return face_normals(self.corners)
 
-    def corners_of(self, triangles: npt.NDArray[np.int32]) -> Float:
-        """The positions (M, 3, 3) of the corners of ``triangles`` (M, 3)."""
-        return np.asarray(self.vertices.take(triangles, axis=0))
+    def corners_of(self, chosen: Index | slice) -> Float:
+        """The positions (M, 3, 3) of the corners of the ``chosen`` triangles; not kept."""
+        return np.asarray(self.vertices.take(self.triangles[chosen], axis=0))
 
     def only(self, chosen: npt.NDArray[np.bool_]) -> "Surface":
         """The ``chosen`` (F,) of its triangles."""
         return Surface(self.vertices, self.triangles[chosen], self.areas[chosen])
 
 
-def unit_normals(corners: Float) -> Float:
+def face_normals(corners: Float) -> Float:
     """The unit geometric normals (M, 3) of triangles with ``corners`` (M, 3, 3), 0 where they have
     no area."""
     normals = np.empty((len(corners), 3))
-    for part in _pieces(len(corners)):
-        a, b, c = np.ascontiguousarray(corners[part].transpose(1, 2, 0))
-        cross = _cross(b - a, c - a)
-        double = np.sqrt(_dot(cross, cross))
-        normals[part] = (cross / np.where(double > 0, double, 1)).T
+    for part in slices(len(corners), PIECE):
+        normals[part] = _geometric_normals(np.ascontiguousarray(corners[part].transpose(1, 2, 0))).T
     return normals
 
 
@@ -119,14 +117,14 @@ def distinct_points(receiver: Receiver) -> Points:
     vertices = used if receiver.domain == "POINT" else np.asarray(receiver.corner_vertices)[used]
     corners = np.ascontiguousarray(receiver.triangles)
     normals = np.empty((3, len(used)), np.float32)
-    for part in _pieces(len(used)):
+    for part in slices(len(used), PIECE):
         normals[:, part] = _unit_normals(
             receiver, used[part], columns, corners.take(hosts[part], 0)
         )
     positions = np.ascontiguousarray(receiver.vertices, np.float32)
     first, point_of_used = _distinct(positions, vertices, normals)
     normals, origins = normals.take(first, 1), np.empty((3, len(first)), np.float32)
-    for part in _pieces(len(first)):
+    for part in slices(len(first), PIECE):
         some = first[part]
         its_corners = _corners(columns, corners.take(hosts[some], 0))
         start = columns.take(vertices[some], axis=1)
@@ -141,10 +139,6 @@ def distinct_points(receiver: Receiver) -> Points:
         np.ascontiguousarray(normals.take(order, 1).T),
         element_points,
     )
-
-
-def _pieces(count: int) -> list[slice]:
-    return [slice(i, min(i + PIECE, count)) for i in range(0, count, PIECE)]
 
 
 def _corners(columns: Float, triangles: npt.NDArray[np.int32]) -> list[Float]:
@@ -167,7 +161,7 @@ def _hosts(receiver: Receiver, columns: Float) -> Index:
     there is none."""
     elements = element_triangles(receiver)
     widest = np.full(len(receiver.normals), NO_HOST)
-    for part in _pieces(len(elements)):
+    for part in slices(len(elements), PIECE):
         a, b, c = _corners(columns, np.asarray(receiver.triangles[part]))
         sides = (b - a, c - b, a - c)
         square = [_dot(side, side) for side in sides]
@@ -201,10 +195,11 @@ def _unit_normals(
     return normals
 
 
-def _geometric_normals(corners: list[Float]) -> Float:
-    """Unit normals (3, F) of triangles with an area."""
+def _geometric_normals(corners: Sequence[Float] | Float) -> Float:
+    """Unit normals (3, F) of triangles, 0 where they have no area."""
     cross = _cross(corners[1] - corners[0], corners[2] - corners[0])
-    return np.asarray(cross / np.sqrt(_dot(cross, cross)))
+    double_area = np.sqrt(_dot(cross, cross))
+    return np.asarray(cross / np.where(double_area > 0, double_area, 1))
 
 
 def _distinct(
@@ -213,7 +208,7 @@ def _distinct(
     """First occurrences (P,) of distinct (position of a vertex, normal), and each one's place among
     them."""
     keys = np.empty((3, len(vertices)), np.uint64)
-    for part in _pieces(len(vertices)):
+    for part in slices(len(vertices), PIECE):
         bits = (positions.take(vertices[part], 0) + np.float32(0)).view(np.uint32)  # 0 is not -0
         steps = np.rint(normals[:, part] * NORMAL_STEPS).astype(np.int64).astype(np.uint64)
         keys[0, part] = bits[:, 0].astype(np.uint64) << np.uint64(32) | bits[:, 1]

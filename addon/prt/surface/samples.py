@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .points import Float, Index, Surface, lift, morton_order, surface_bias, unit_normals
+from .points import Float, Index, Surface, lift, morton_order, surface_bias, face_normals
 
 EDGE = 0.02  # of a triangle's height: no sample lies nearer to an edge
 CANDIDATES = 64  # triangles for a place: enough for places as even as among all
@@ -44,7 +44,7 @@ def stratified_places(
     if CANDIDATES * count < len(chosen):  # a curve through all of them would not pay
         some = _drawn(density, CANDIDATES * count, rng)
         chosen, density = chosen[some], np.ones(len(some))
-    along = morton_order(surface.corners_of(surface.triangles[chosen]).mean(axis=1))
+    along = morton_order(surface.corners_of(chosen).mean(axis=1))
     order, share = chosen[along], np.cumsum(density[along])
     i = np.arange(count)
     within = rng.random(count)
@@ -74,11 +74,11 @@ def starts(
     ``normals`` (E, 3) at the triangles' corners: up to the tangent planes there, as Hanika does it,
     and off the surface."""
     barycentric = places.barycentric
-    corners = surface.corners_of(surface.triangles[places.triangles])
+    corners = surface.corners_of(places.triangles)
     corner_normals = normals[rows[places.triangles]].astype(np.float64)
     mean = np.einsum("pk,pkc->pc", barycentric, corner_normals)
     lengths = np.linalg.norm(mean, axis=1, keepdims=True)
-    facing = unit_normals(corners)
+    facing = face_normals(corners)
     inside = np.einsum("pk,pkc->pc", barycentric, corners)
     lifts = [lift(inside, corners[:, k], corner_normals[:, k]) for k in range(3)]
     lifted = inside + np.einsum("pk,kpc->pc", barycentric, np.array(lifts))

@@ -6,6 +6,7 @@ from functools import reduce
 import numpy as np
 import numpy.typing as npt
 
+from ..slices import slices
 from ..surface.points import Index, morton_order
 from ..surface.samples import Places
 from ..tracing.buried import buried, rays_for
@@ -73,7 +74,7 @@ class Tracer(Caster):
         ``rows`` (M,), on the triangles that these stand on.  Yields the rays cast so far."""
         offsets = np.broadcast_to(offset, (len(rows), 2))
         found = []
-        for some in _pieces(len(rows)):
+        for some in slices(len(rows), PIECE):
             texels, triangles = self._index[rows[some]], self._triangles[rows[some]]
             found.append(self.mesh.places(texels, triangles, offsets[some]))
             yield self.cast
@@ -113,7 +114,7 @@ class Tracer(Caster):
     def _starts(self, places: Places) -> Generator[int, None, tuple[Array, Array]]:
         """Origins and normals (M, 3) of ``places``; yields the rays cast so far."""
         origins, normals = np.empty((2, len(places), 3), np.float32)
-        for some in _pieces(len(places)):
+        for some in slices(len(places), PIECE):
             origins[some], normals[some] = self.mesh.starts(places[some])
             yield self.cast
         return origins, normals
@@ -121,7 +122,7 @@ class Tracer(Caster):
     def glance(self, places: Places) -> Generator[int, None, Mask]:
         """Which ``places`` (M,) are buried, from a few rays each.  Yields the rays cast so far."""
         hidden = np.zeros(len(places), bool)
-        for some in _pieces(len(places), GLANCES):
+        for some in slices(len(places), GLANCES):
             origins, normals = self.mesh.starts(places[some])
             dark = np.zeros((len(origins), 1), np.float32)
             hidden[some] = buried(origins, normals, dark, self._occlusion)
@@ -195,7 +196,3 @@ class Tracer(Caster):
             places.append(there[~hidden & same])
             left = np.delete(left, chosen)
         return np.concatenate(out), joined(places)
-
-
-def _pieces(count: int, size: int = PIECE) -> list[slice]:
-    return [slice(first, first + size) for first in range(0, count, size)]

@@ -12,6 +12,8 @@ from math import pi
 import numpy as np
 import numpy.typing as npt
 
+from ..slices import slices
+
 Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
@@ -141,7 +143,7 @@ def _polygon(places: Float, triangles: Triangles, used: Bools) -> Index:
 def _areas(places: Float, triangles: npt.NDArray[np.integer]) -> Float:
     """Twice the signed areas (F,)."""
     columns, areas = np.ascontiguousarray(places.T), np.empty(len(triangles))
-    for part in _pieces(len(triangles)):
+    for part in slices(len(triangles), PIECE):
         x, y = columns.take(triangles[part].T, axis=1)
         areas[part] = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
     return areas
@@ -174,16 +176,12 @@ def _closed(triangles: Triangles, chosen: Bools, count: int) -> bool:
     by chance alone unless the edges do one by one."""
     x, y = np.random.default_rng(0).integers(1 << 64, size=(2, count), dtype=np.uint64)
     sums = []
-    for part in _pieces(len(triangles)):
+    for part in slices(len(triangles), PIECE):
         its_x, its_y = x.take(triangles[part].T), y.take(triangles[part].T)
         for i, mine in enumerate(chosen[part].T):
             j = (i + 1) % 3
             sums.append(((its_x[i] * its_y[j] - its_x[j] * its_y[i]) * mine).sum(dtype=np.uint64))
     return bool(np.array(sums, np.uint64).sum() == 0)
-
-
-def _pieces(count: int) -> list[slice]:
-    return [slice(start, start + PIECE) for start in range(0, count, PIECE)]
 
 
 def _fan(corners: Index) -> Index:

@@ -68,7 +68,7 @@ class _Pilot:
 
     def sure_error(self, points: Points, found: Array, rays: int) -> Generator[int, None, float]:
         """As ``error``, by as many rays of other azimuths, however errors fall with the rays."""
-        rows = spread(len(found), SURE_POINTS)
+        rows = _spread(len(found), SURE_POINTS)
         again = yield from self.transfer(_at(points, rows), rays, turn=1)
         return _error_of_two(again, found[rows])
 
@@ -94,12 +94,12 @@ def effort(
     count = len(points.origins)
     if not settings.tolerance:  # a glance, at points too far apart to share a horizon
         pilot = _Pilot(occlusion, settings, Shortcuts())
-        twice = _at(points, np.repeat(spread(count, GLANCE), 2))
+        twice = _at(points, np.repeat(_spread(count, GLANCE), 2))
         found = yield from pilot.transfer(twice, PILOT_RAYS)
         noise = _error_of_two(found[::2], found[1::2]) * (PILOT_RAYS / settings.rays) ** FALL
         return Effort(settings.rays, noise, 0, pilot.cast)
     pilot = _Pilot(occlusion, settings, shortcuts)
-    some = _at(points, spread(count, int(np.clip(count * PILOT_SHARE, *PILOT_POINTS))))
+    some = _at(points, _spread(count, int(np.clip(count * PILOT_SHARE, *PILOT_POINTS))))
     found = yield from pilot.transfer(some, PILOT_RAYS)
     error = yield from pilot.sure_error(some, found, PILOT_RAYS)
     aim = AIM * settings.tolerance
@@ -121,7 +121,7 @@ def _needed(
         return needed
     if needed > PILOT_RAYS:
         rays = int(min(0.75 * needed, SECOND_RAYS))
-        rows = spread(len(found), SECOND_COST // rays)
+        rows = _spread(len(found), SECOND_COST // rays)
         few = _at(points, rows)
         before = pilot.error(few, found[rows], PILOT_RAYS)
         after = pilot.error(few, (yield from pilot.transfer(few, rays)), rays)
@@ -145,8 +145,7 @@ def _fall(share: float, times: float) -> float:
     return float(np.clip((sure * seen + usual * FALL) / (sure + usual), *STEEPNESS))
 
 
-def spread(count: int, places: int) -> npt.NDArray[np.int64]:
-    """At most so many ``places`` of ``count``, evenly."""
+def _spread(count: int, places: int) -> npt.NDArray[np.int64]:
     return np.linspace(0, count - 1, min(count, places)).astype(np.int64)
 
 
@@ -155,15 +154,21 @@ def _at(points: Points, rows: npt.NDArray[np.int64]) -> Points:
 
 
 def estimate_error(
-    points: Points, occlusion: Occlusion, settings: Settings, transfer: Array
+    points: Points,
+    occlusion: Occlusion,
+    settings: Settings,
+    transfer: Array,
+    rows: npt.NDArray[np.int64] | None = None,
 ) -> tuple[float, int]:
-    """The relative RMS error of ``transfer`` (P, n²), and the rays that finding it took.
+    """The relative RMS error of ``transfer`` (P, n²), or of these ``rows`` (M,) of it, and the rays
+    that finding it took.
 
     A part of the points is traced again with a quarter of the rays and other azimuths; the pooled
     difference times a constant is the error of the full set.
     """
     few = replace(settings, rays=max(1, settings.rays // 4), seed=settings.seed + 1)
-    chosen = spread(len(points.origins), ESTIMATE_POINTS)
+    rows = np.arange(len(points.origins)) if rows is None else rows
+    chosen = rows[_spread(len(rows), ESTIMATE_POINTS)]
     pilot_points = _at(points, chosen)
     pilot = np.empty((len(chosen), settings.order**2), np.float32)
     *_, cast = trace_all(pilot_points, occlusion, few, pilot)

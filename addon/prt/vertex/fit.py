@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..parallel import workers
+from ..slices import slices
 from ..surface.points import Float, Index
 from ..surface.samples import Places
 from .fit_mesh import (
@@ -116,7 +117,7 @@ class _Gradients:
         self._system, self._pool = system, pool
         self.x, self._residual = guess, right + system.anchor * guess
         self._towards, self._image = np.empty_like(right), np.empty_like(right)
-        self._blocks = [slice(i, min(i + ROWS, len(right))) for i in range(0, len(right), ROWS)]
+        self._blocks = slices(len(right), ROWS)
         self.size = np.zeros(right.shape[1])
         self._length: Array = np.zeros(right.shape[1], np.float32)
         self._keep = self._length

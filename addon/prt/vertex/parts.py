@@ -100,7 +100,7 @@ def parts_of(receiver: Receiver, points: Points, may_fit: bool) -> Parts:
         bare = unjoined(rows, surface.areas, count)
         of_points, of_triangles = np.zeros(count, np.int64), np.zeros(len(bare.corners), np.int64)
         return Parts(bare, surface, of_points, of_triangles, 1)
-    mesh = mesh_of(rows, surface.corners_of(surface.triangles), surface.areas, count)
+    mesh = mesh_of(rows, surface.corners_of(slice(None)), surface.areas, count)
     island = components(mesh.edges, count)
     size = np.bincount(island[mesh.corners[:, 0]], minlength=count)  # triangles, by island
     large, small = size >= OWN, (size >= MIN_ISLAND) & (size < OWN)
