@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .points import Float, Index, Surface, lift, morton_order, surface_bias, face_normals
+from .points import Float, Index, Surface, face_normals, lift, morton_order, surface_bias
 
 EDGE = 0.02  # of a triangle's height: no sample lies nearer to an edge
 CANDIDATES = 64  # triangles for a place: enough for places as even as among all
