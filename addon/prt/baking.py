@@ -17,9 +17,10 @@ from .errors import BakeError
 from .job import Job, Progress, Receiver
 from .light.world import World
 from .meter import Meter
+from .place_tape import PlaceTape
 from .results import RESULT_ARRAYS, ReceiverResult
 from .surface.points import Points, distinct_points
-from .tape import PlaceTape, Remembered, Tape
+from .tape import Remembered, Tape
 from .tracing.flats import Parts, fewer
 from .tracing.rays import Geometry, occlusion
 from .tracing.surroundings import Surroundings

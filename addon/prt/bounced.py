@@ -11,8 +11,7 @@ what it fills are the places that were traced, from which points get their value
 bounces.
 
 Texels are known only once they are traced.  For receivers in textures light bounces among places on
-everything about them (``Surfaces``), and the rays of a texel gather once, as they are traced, what
-leaves there.
+everything about them (``surfaces.py``), and the rays of a texel gather once what leaves there.
 """
 
 import hashlib
@@ -57,14 +56,14 @@ def bake_all(scene: Scene) -> Generator[Progress, None, list[Baked]]:
     with meter.phase("prepare"):
         points = [prepared(receiver) for receiver in job.receivers]
         entries = Entries.of(job, points)
-        far = _far(job, entries) if job.settings.cache else None
+        far = far_of(job, entries) if job.settings.cache else None
         keys = [scene.keys(index, its, far) for index, its in enumerate(points)]
         known = [scene.cache.get(key) if key else None for key, _ in keys]
     if all(known):
         meter.done += sum(len(its.origins) for its in points)
         named = zip(job.receivers, points, known, strict=True)
         return [unchanged(r.name, its, entry) for r, its, entry in named if entry is not None]
-    tape = Tape(scene.cache, _unbaked_key(scene, points[0], far) if far else "")
+    tape = Tape(scene.cache, unbaked_key(scene, points[0], far) if far else "")
     bounces = Bounces(scene, points, entries, tape)
     for index, (_, tape_key) in enumerate(keys):
         yield from bounces.direct(index, Tape(scene.cache, tape_key))
@@ -79,7 +78,7 @@ def bake_all(scene: Scene) -> Generator[Progress, None, list[Baked]]:
     return baked
 
 
-def _far(job: Job, entries: Entries) -> Far:
+def far_of(job: Job, entries: Entries) -> Far:
     """What light that bounces depends on: everything.  Where rays end depends on all of the
     geometry; what comes back from there on all albedos and on how other receivers are solved."""
     met = hashlib.blake2b(digest_size=20)
@@ -96,7 +95,7 @@ def _far(job: Job, entries: Entries) -> Far:
     return Far(back.digest(), met.digest(), rays.digest())
 
 
-def _unbaked_key(scene: Scene, points: Points, far: Far) -> str:
+def unbaked_key(scene: Scene, points: Points, far: Far) -> str:
     """Names what is traced of things that are not baked, which depends on where all rays of the
     receivers end and on how many bounces reach them."""
     rounds = _rounds(scene.job.bounces)
@@ -169,10 +168,11 @@ class Bounces:
         for index in indices:
             places = pilot_points(scene.job.receivers[index], seed=settings.seed)
             again = self._keeper.retrace(places, scene.occlusion, settings, Shortcuts())
-            recorder = self._keeper.recorder()
-            yield from scene.meter.follow("bounces", again(recorder), 0, 1)
+            recorder = None if self._tape.known else self._keeper.recorder()
+            if recorder is not None:
+                yield from scene.meter.follow("bounces", again(recorder), 0, 1)
             count = len(places.origins)
-            its = self._keeper.taken(recorder, count, again)
+            its = self._keeper.keep(self._tape, recorder, count, again)
             _mark(used, [its], np.zeros(count, bool))
         return used
 
@@ -344,28 +344,6 @@ def with_bounces(scene: Scene, plain: ReceiverResult, more: Array) -> ReceiverRe
             residual[:, k] -= exit_radiance(transfer, its) - exit_radiance(plain.transfer, its)
     whole = replace(plain, transfer=transfer, residual=residual.astype(np.float32))
     return whole.with_direct(plain) if scene.job.settings.keep_direct else whole
-
-
-class Surfaces:
-    """What surrounds receivers in textures, ``indices`` of the scene's job, and sends light back to
-    them.  ``key`` names all that this depends on."""
-
-    def __init__(self, scene: Scene, indices: Sequence[int]) -> None:
-        self._scene, self._indices = scene, indices
-        self._entries = Entries.of(scene.job, ())
-        self.key = _far(scene.job, self._entries).result
-        self.report: dict[str, Any] = {}
-        self._leaving: Leaving | None = None
-
-    def leaving(self) -> Generator[Progress, None, Leaving]:
-        """All light that leaves them, which is followed the first time."""
-        if self._leaving is None:
-            bounces = Bounces(self._scene, (), self._entries, Tape(self._scene.cache, ""))
-            with self._scene.meter.phase("bounces"):
-                yield from bounces.unbaked((yield from bounces.glanced(self._indices)))
-                sources, total = yield from bounces.follow()
-            self._leaving, self.report = bounces.leaving(sources, total)
-        return self._leaving
 
 
 def _bound(values: Array, channels: int, coefficients: int) -> None:

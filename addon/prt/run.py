@@ -126,7 +126,7 @@ def _bake_textures(
 ) -> Generator[Progress, None, "list[Sheet]"]:
     """The sheets of the receivers ``in_textures``, which are put into ``bakes``."""
     from . import texturing
-    from .bounced import Surfaces
+    from .surfaces import Surfaces
 
     surfaces = Surfaces(scene, in_textures) if scene.job.bounces else None
     sheets = []

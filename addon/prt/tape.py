@@ -2,8 +2,8 @@
 
 The steps of a bake to vertices follow from its job alone, so what is asked comes in the same order
 each time: the visibility of every place's rays, in one array a trace, what they meet where light
-bounces, and the answers to ``meets_back``.  Which texels are traced follows from the light too, so
-what is known of these is found by where their rays start (``PlaceTape``).
+bounces, and the answers to ``meets_back``.  Which texels are traced follows from the light too:
+what is known of these is on a ``PlaceTape``.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from .cache import Cache
-from .tracing import identity
 from .tracing.rays import Mask, Occlusion, Vectors
 
 Bits = npt.NDArray[np.uint8]
@@ -118,74 +117,6 @@ class Tape:
     def _forget_too_much(self) -> None:
         if sum(array.nbytes for array in self._arrays.values()) > LARGEST:
             self._key, self._arrays = "", {}
-
-
-class PlaceTape:
-    """A record that is asked for some places, in any order: the one named ``key`` of ``cache``.
-    What it did not know yet is added to it.  Without a key nothing is kept."""
-
-    def __init__(self, cache: Cache, key: str) -> None:
-        self._cache, self._key = cache, key
-        entry = cache.get(key) if key else None
-        self.known = entry is not None
-        self.report: dict[str, Any] = entry.report if entry else {}
-        self._old: Mapping[str, npt.NDArray[Any]] = entry.arrays if entry else {}
-        self._new: dict[str, list[tuple[identity.Keys, Bits, Known]]] = {}
-
-    def visibility(
-        self, origins: Vectors, normals: Vectors, rays: int
-    ) -> tuple[Bits | None, Known | None]:
-        """See Record."""
-        if not self._key:
-            return None, None
-        return self._recall(str(rays), identity.keys(origins, normals), -(-rays // 8))
-
-    def answers(self, ask: Ask, origins: Vectors, directions: Vectors) -> tuple[Known, int]:
-        """See Record."""
-        if not self._key:
-            return ask(origins, directions), len(origins)
-        bits, known = self._recall("backs", identity.keys(origins, directions), 1)
-        left = np.flatnonzero(~known)
-        if len(left):
-            bits[left, 0] = ask(origins[left], directions[left])
-        return bits[:, 0] > 0, len(left)
-
-    def _recall(self, name: str, keys: identity.Keys, width: int) -> tuple[Bits, Known]:
-        """What is known by this ``name`` of places with these ``keys``, and of which."""
-        bits, known = np.zeros((len(keys), width), np.uint8), np.zeros(len(keys), bool)
-        if f"{name} keys" in self._old and len(keys):
-            old = self._old[f"{name} keys"]
-            row = np.minimum(np.searchsorted(old, keys), len(old) - 1)
-            known = np.asarray(old[row] == keys)
-            bits[known] = self._old[f"{name} bits"][row[known]]
-        self._new.setdefault(name, []).append((keys, bits, known))
-        return bits, known
-
-    def save(self, report: dict[str, Any]) -> None:
-        """See Record."""
-        added = {name: _unknown(some) for name, some in self._new.items()}
-        added = {name: both for name, both in added.items() if len(both[0])}
-        size = sum(bits.nbytes for _, bits in added.values())
-        size += sum(array.nbytes for array in self._old.values())
-        if not self._key or not added or size > LARGEST:
-            return
-        arrays = dict(self._old)
-        for name, found in added.items():
-            keys, bits = (
-                np.concatenate([arrays.get(f"{name} {what}", more[:0]), more])
-                for what, more in zip(("keys", "bits"), found, strict=True)
-            )
-            arrays[f"{name} keys"], first = np.unique(keys, return_index=True)
-            arrays[f"{name} bits"] = bits[first]
-        self._cache.put(self._key, arrays, report)
-
-
-def _unknown(
-    some: Sequence[tuple[identity.Keys, Bits, Known]],
-) -> list[npt.NDArray[Any]]:
-    """Keys and bits of those that were not known."""
-    keys = [keys[~known] for keys, _, known in some]
-    return [np.concatenate(keys), np.concatenate([bits[~known] for _, bits, known in some])]
 
 
 class Remembered:

@@ -14,15 +14,16 @@ from . import layout as layouts
 from .atlas.unwrap import unwrap
 from .atlas.uv_map import OVERLAPPING, overlap, problem
 from .baking import Bake, Baked, Far, Scene, prepared, unchanged
-from .bounced import Surfaces, with_bounces
+from .bounced import with_bounces
 from .bounces.hits import Leaving
 from .errors import BakeError
 from .job import Job, Progress, Receiver, Settings
 from .layout import Layout
+from .place_tape import PlaceTape
 from .results import RESULT_ARRAYS, Atlas, InAtlas, ReceiverResult
 from .surface.points import Points, Surface
 from .surface.samples import random_places
-from .tape import PlaceTape
+from .surfaces import Surfaces
 from .texture.fill import push_pull
 from .texture.places import pilot_points
 from .texture.sampling import footprint
@@ -131,7 +132,9 @@ def bake_texels(
         points = prepared(receiver)
         digest = hashlib.blake2b(np.ascontiguousarray(uvs), digest_size=20)
         digest.update(json.dumps(sheet.size).encode())
-        far = Far(digest.digest() + (surfaces.key if surfaces else b""), digest.digest())
+        far = Far(digest.digest(), digest.digest())
+        if surfaces:
+            far = Far(far.result + surfaces.far.result, far.visibility + surfaces.far.visibility)
         result_key, tape_key = scene.keys(index, points, far)
         known = scene.cache.get(result_key) if result_key else None
     about = {
@@ -148,7 +151,7 @@ def bake_texels(
         result = replace(baked.result, in_atlas=where)
         return replace(baked, result=result, entry={**baked.entry, **about})
     leaving = (yield from surfaces.leaving()) if surfaces else None
-    tape = PlaceTape(scene.cache, "" if surfaces else tape_key)
+    tape = PlaceTape(scene.cache, tape_key)
     work = TextureWork(scene, index, points, sheet, uvs, tape, leaving)
     solved = yield from work.solve()
     result = replace(work.result(solved), in_atlas=InAtlas(number, uvs, work.texels))
@@ -176,7 +179,7 @@ class TextureWork(Bake[Found]):
     ) -> None:
         expected = max(1, round(TRACED * USED * sheet.size**2 / len(sheet.uvs)))
         super().__init__(scene, index, points, tape, expected=expected)
-        self._uvs, self._size, self._leaving = uvs, sheet.size, leaving
+        self._uvs, self._size, self._places, self._leaving = uvs, sheet.size, tape, leaving
         self._pilots = pilot_points(self._receiver, seed=self._settings.seed)
         self.texels = np.empty(0, np.int64)
 
@@ -212,8 +215,10 @@ class TextureWork(Bake[Found]):
         if self._leaving is None:
             return (yield from super()._trace(origins, normals, rays))
         more = np.zeros((len(origins), self._leaving.table.shape[1]), np.float32)
-        self._look = self._leaving.look(rays, more)
+        ends = self._places.ends(origins, normals, rays)
+        self._look = self._leaving.look(rays, more, ends)
         direct, seen = self._apart((yield from super()._trace(origins, normals, rays)))
+        yield from self._leaving.recall(rays, more, ends, self._settings.threads)
         return np.concatenate([direct, more, seen], axis=1)
 
     def _apart(self, values: Array) -> tuple[Array, Array]:

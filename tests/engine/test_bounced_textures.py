@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import shapes
 from prt_baker.addon.prt import job as jobs
+from prt_baker.addon.prt import place_tape
 from prt_baker.addon.prt.bands import exit_radiance
 from prt_baker.addon.prt.light.projection import world_sh
 from prt_baker.addon.prt.texturing import between_texels
+from test_baking import sky
 from test_bounces import WHITE, baked, bowl_job, job_of, rays_of, relative_rms, room, well_job
 
 __all__ = ["room"]  # a fixture
@@ -101,11 +103,55 @@ def test_an_unchanged_scene_costs_no_ray_and_another_albedo_is_another_result(ro
     first, second = baked(job), baked(job)
     assert min(rays_of(first)) > 0
     assert rays_of(second) == [0, 0]
-    redder = baked(replace(job, occluder_albedo=job.occluder_albedo[..., ::-1].copy()))
-    assert min(rays_of(redder)) > 0
+    other = replace(job, occluder_albedo=job.occluder_albedo[..., ::-1].copy())
+    redder = baked(other)
+    fresh = baked(uncached(other))
     for a, b, c in zip(first.receivers, second.receivers, redder.receivers, strict=True):
         np.testing.assert_array_equal(a.transfer, b.transfer)
         assert np.abs(a.transfer - c.transfer).max() > 0.01
+    for found, expected in zip(redder.receivers, fresh.receivers, strict=True):
+        np.testing.assert_array_equal(found.transfer, expected.transfer)
+    assert max(to_the_sky(redder)) < 0.05 * min(to_the_sky(fresh))
+
+
+def uncached(job):
+    return replace(job, settings=replace(job.settings, cache=""))
+
+
+def to_the_sky(results):
+    return [entry["rays"] - entry["map_rays"] for entry in results.report["objects"]]
+
+
+def test_another_light_traces_no_texel_again(room):
+    """Only where it shades texels that no other had traced: twice as bright it shades none, and
+    another sun few.  What comes out is what comes out without a cache."""
+    job = in_textures(room, 96)
+    first = baked(job)
+    brighter = baked(replace(job, light=replace(job.light, strength=2.0)))
+    assert to_the_sky(brighter) == [0, 0]
+    other = replace(job, light=jobs.LightSource(pixels=sky(1)))
+    found, fresh = baked(other), baked(uncached(other))
+    for a, b, c in zip(found.receivers, fresh.receivers, first.receivers, strict=True):
+        np.testing.assert_array_equal(a.transfer, b.transfer)
+        np.testing.assert_array_equal(a.residual, b.residual)
+        assert relative_rms(c.residual, a.residual) > 0.1
+    for its, all_of in zip(to_the_sky(found), to_the_sky(fresh), strict=True):
+        assert its < 0.2 * all_of
+    unbaked = [results.report["objects"][0]["unbaked_rays"] for results in (found, fresh)]
+    assert unbaked[0] < 0.8 * unbaked[1]
+    brighter = baked(replace(other, light=replace(other.light, strength=2.0)))
+    assert to_the_sky(brighter) == [0, 0]
+
+
+def test_what_finds_no_room_is_traced_again(room, monkeypatch):
+    job = in_textures(room, 64)
+    expected = baked(uncached(job))
+    monkeypatch.setattr(place_tape, "LARGEST", 1 << 16)
+    first = baked(job)
+    second = baked(replace(job, light=replace(job.light, strength=2.0)))
+    assert to_the_sky(second) == to_the_sky(first)
+    for a, b in zip(first.receivers, expected.receivers, strict=True):
+        np.testing.assert_array_equal(a.transfer, b.transfer)
 
 
 def test_vertices_and_textures_mix(room):

@@ -27,6 +27,20 @@ class Packed:
     shares: Array
     widths: Index
 
+    @classmethod
+    def of(cls, numbers: Index, counts: Index, ends: Entry, its_shares: Array) -> "Packed":
+        """Of the places ``numbers`` (P,), so many ``counts`` (P,) of whose rays meet something: the
+        entries that these end at and their shares, one place after the other."""
+        widths = -(-counts // EVEN) * EVEN
+        width = int(widths.max(initial=0))
+        starts = np.arange(len(counts)) * width
+        places = np.arange(len(ends)) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
+        entries = np.full((len(counts), width), -1, np.int32)
+        entries.reshape(-1)[places] = ends
+        packed = np.zeros((len(counts), width), np.float32)
+        packed.reshape(-1)[places] = its_shares
+        return cls(numbers, entries, packed, widths)
+
     def translate(self, source_of: Entry) -> None:
         """Put the sources ``source_of`` (2 count + 1,) entries in their place; the last of them is
         that of the sky."""
@@ -65,16 +79,14 @@ class Chunk:
     def packed(self) -> Packed:
         """Without the rays that reach the sky."""
         met = self.entries >= 0
-        count, its_shares = np.count_nonzero(met, axis=1), shares(met, self.local, self.others)
-        widths = -(-count // EVEN) * EVEN
-        width = int(widths.max(initial=0))
-        rays, starts = np.flatnonzero(met), np.arange(len(met)) * width
-        places = np.arange(len(rays)) + np.repeat(starts - (np.cumsum(count) - count), count)
-        entries = np.full((len(met), width), -1, np.int32)
-        entries.reshape(-1)[places] = self.entries.reshape(-1).take(rays)
-        packed = np.zeros((len(met), width), np.float32)
-        packed.reshape(-1)[places] = its_shares.reshape(-1).take(rays)
-        return Packed(self.numbers, entries, packed, widths)
+        counts, its_shares = np.count_nonzero(met, axis=1), shares(met, self.local, self.others)
+        rays = np.flatnonzero(met)
+        return Packed.of(
+            self.numbers,
+            counts,
+            self.entries.reshape(-1).take(rays),
+            its_shares.reshape(-1).take(rays),
+        )
 
 
 def split(hits: Chunk) -> list[Chunk]:

@@ -17,10 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ..parallel import workers
+from ..place_tape import RayEnds
+from ..slices import slices
 from ..tracing.confirm import NEARLY_DARK
 from ..tracing.looking import Look, Shown
 from ..tracing.rays import BLOCKED, Geometry, Mask, Met
-from .chunks import Chunk, Packed, joined
+from .chunks import PIECE, Chunk, Packed, joined
 from .entries import Entries
 
 Array = npt.NDArray[np.float32]
@@ -240,19 +242,46 @@ class Leaving:
     table: Array
     source_of: Entry
 
-    def look(self, rays: int, out: Array) -> Look:
+    def look(self, rays: int, out: Array, ends: RayEnds) -> Look:
         """What puts the mean over the ``rays`` of each place that is traced into ``out`` (M, K),
-        zeros, where all are shown: a final gather."""
+        zeros, where all are shown: a final gather.  Where they end is kept among the ``ends``."""
+        kind = np.min_scalar_type(len(self.source_of))
 
         def look(shown: Shown) -> Mask:
             mask, chunk = self.meeting(shown)
-            hidden = np.count_nonzero(chunk.entries >= 0, axis=1).astype(np.float32) / rays
-            its = chunk.packed()
-            its.translate(self.source_of)
-            out[its.numbers] = its.means(self.table) * hidden[:, None]
+            met = chunk.entries >= 0
+            counts, its = np.count_nonzero(met, axis=1), chunk.entries[met]
+            ends.keep(chunk.numbers, counts, its.astype(kind))
+            self._gather(chunk.numbers, counts, its, rays, out)
             return mask
 
         return look
+
+    def recall(
+        self, rays: int, out: Array, ends: RayEnds, threads: int
+    ) -> Generator[int, None, None]:
+        """As ``look``, for the places whose ``ends`` are known, which are not traced; yields the
+        rays that this has cast, none."""
+
+        def gather(some: slice) -> None:
+            numbers = ends.known[some]
+            self._gather(numbers, *ends.of(numbers), rays, out)
+
+        pool = workers(threads)
+        try:
+            for _ in pool.map(gather, slices(len(ends.known), PIECE)):
+                yield 0
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+    def _gather(self, numbers: Index, counts: Index, ends: Entry, rays: int, out: Array) -> None:
+        """Put the mean over the ``rays`` of places ``numbers`` (P,), of which ``counts`` (P,) meet
+        something, at the ``ends``, into ``out``."""
+        equal = np.repeat(np.float32(1) / np.maximum(counts, 1).astype(np.float32), counts)
+        its = Packed.of(numbers, counts, ends, equal)
+        its.translate(self.source_of)
+        hidden = counts.astype(np.float32) / rays
+        out[numbers] = its.means(self.table) * hidden[:, None]
 
 
 class Recorder:

@@ -74,7 +74,7 @@ class Keeper:
         """A Look for the rays of some places."""
         return Recorder(self.meeting, self._budget)
 
-    def taken(self, recorder: Recorder, count: int, trace: Retrace) -> Gathered:
+    def _taken(self, recorder: Recorder, count: int, trace: Retrace) -> Gathered:
         """What ``recorder`` saw of ``count`` places, which ``trace`` traces again where that was
         too much to be kept."""
         chunks = recorder.chunks()
@@ -93,7 +93,7 @@ class Keeper:
         when it was filled."""
         if recorder is None:
             return self.remembered(count, Chunk(*memory.recall(HITS)))
-        met = self.taken(recorder, count, again)
+        met = self._taken(recorder, count, again)
         if memory.keeps:
             memory.keep(recorder.arrays())
         return met
