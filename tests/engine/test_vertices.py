@@ -203,10 +203,10 @@ def test_more_columns_are_solved_beside_the_transfer():
     assert np.abs(values[:, 9] - values[:, 0]).max() < 0.05
 
 
-def eye_in_a_head():
+def eye_in_a_head(rings=28, height=0.78):
     """A ball that comes out of a larger one: few samples see anything."""
-    (ball, triangles, normals), head = shapes.sphere(28, 56, 0.3), shapes.sphere(48, 96)[:2]
-    eye = ball + np.array([0, 0, 0.78]), triangles
+    ball, triangles, normals = shapes.sphere(rings, 2 * rings, 0.3)
+    head, eye = shapes.sphere(48, 96)[:2], (ball + np.array([0, 0, height]), triangles)
     return Bench(shapes.receiver(*eye, normals), *shapes.join(eye, head))
 
 
@@ -229,7 +229,7 @@ def test_where_rays_start_follows_from_the_transfer_alone(monkeypatch):
 
 
 def test_where_a_fit_predicts_samples_badly_points_are_shown_as_they_are(monkeypatch):
-    scene = eye_in_a_head()
+    scene = eye_in_a_head(16, 0.9)
     solved = scene.solve(64, 0.03)
     monkeypatch.setattr(values, "WORSE", 1e9)
     fitted = scene.solve(64, 0.03)

@@ -12,15 +12,11 @@ holds it by a weight that falls with that (the reweighted squares of a penalty t
 logarithm).  At equal rays that takes a tenth of the error, a fifth at most.
 """
 
-from collections.abc import Callable
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from ..parallel import workers
-from ..slices import slices
 from ..surface.points import Float, Index
 from ..surface.samples import Places
 from .fit_mesh import (
@@ -34,147 +30,15 @@ from .fit_mesh import (
     jump_form,
     sample_form,
 )
+from .system import TOLERANCE, System
 
-ANCHOR = 1e-6  # of the diagonal: holds what neither a sample nor an edge holds
-JUDGED, FIRST, TOLERANCE = 1e-3, 1e-2, 3e-4  # of the norm of the right side, rows over diagonals
-STEPS = 60
-ROWS = 8192  # in one block of a step: in fewer ones threads wait for Python's lock
+JUDGED, FIRST = 1e-3, 1e-2  # how near a fit is that is judged, and the first of two
 WEIGHTS = (3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003)  # of the gradient's jumps
 LEFT_OUT = 5  # every fifth sample tests a weight
 STIFFER = (3.0, 1.0)  # times the first fit's weights may be the second's
 USUAL = 3.0  # times the square of the mean bend: there an edge is held by its weight
 SHARP = 0.1  # of that bends so little that less makes no difference
 STRETCHES, STRETCH = 12, 2048  # points that choose the weights of a large mesh
-
-
-class System:
-    """A symmetric matrix over the points of a mesh: rows with the most entries first, so that the
-    k-th entries of all rows that have one are a slice."""
-
-    def __init__(self, mesh: Mesh, threads: int = 0) -> None:
-        self._threads = threads
-        pairs = np.concatenate([mesh.edges, mesh.hinges[:, 2:]])
-        rows = np.concatenate([pairs[:, 0], pairs[:, 1]])
-        entry = np.tile(np.arange(len(pairs)), 2)
-        columns = np.concatenate([pairs[:, 1], pairs[:, 0]])
-        degree = np.bincount(rows, minlength=mesh.count)
-        self.order = np.argsort(-degree, kind="stable")  # row r is point order[r]
-        rank = np.empty_like(self.order)
-        rank[self.order] = np.arange(mesh.count)
-        by_row = np.argsort(rank[rows], kind="stable")
-        starts = np.cumsum(degree[self.order]) - degree[self.order]
-        filled = [int((degree > k).sum()) for k in range(int(degree.max(initial=0)))]
-        slots = [by_row[starts[:n] + k] for k, n in enumerate(filled)]
-        self._columns = [rank[columns[slot]] for slot in slots]
-        self._entries = [entry[slot] for slot in slots]
-        self.diagonal, self._values = np.empty(0, np.float32), list[Array]()
-
-    def set(self, form: Quadratic, extra: Quadratic) -> None:
-        """Make it the matrix of ``form`` plus ``extra``, with a little more on the diagonal."""
-        values = np.concatenate([form.edges + extra.edges, form.tips + extra.tips])
-        values = values.astype(np.float32)
-        diagonal = (form.diagonal + extra.diagonal)[self.order]
-        self.anchor = np.maximum(ANCHOR * diagonal, 1e-30).astype(np.float32)[:, None]
-        self.diagonal = diagonal.astype(np.float32)[:, None] + self.anchor
-        self._values = [values[entries][:, None] for entries in self._entries]
-
-    def product(self, x: Array, rows: slice) -> Array:
-        """Some ``rows`` of the matrix times ``x`` (P, K), in the order of the rows."""
-        out = self.diagonal[rows] * x[rows]
-        for columns, values in zip(self._columns, self._values, strict=True):
-            stop = min(rows.stop, len(columns))
-            if stop <= rows.start:
-                break
-            some = x.take(columns[rows.start : stop], axis=0, mode="clip")
-            some *= values[rows.start : stop]
-            out[: stop - rows.start] += some
-        return out
-
-    def solve(self, right: Array, guess: Array, tolerance: float | Float = TOLERANCE) -> Array:
-        """The x (P, K) that this matrix takes to ``right`` plus the anchor at ``guess``, both in
-        the order of the points; conjugate gradients, each column for itself to within its
-        ``tolerance``."""
-        with workers(self._threads, is_little=len(right) <= ROWS) as pool:
-            steps = _Gradients(self, right[self.order], guess[self.order], pool)
-            energy = steps.start()
-            for _ in range(STEPS):
-                if (energy <= tolerance**2 * steps.size).all():
-                    break
-                energy = steps.go(energy)
-        out = np.empty_like(steps.x)
-        out[self.order] = steps.x
-        return out
-
-
-class _Gradients:
-    """Conjugate gradients for ``system``, preconditioned by its diagonal.
-
-    Every step goes through the rows block by block, in threads: a block's arrays stay in the
-    processor's cache, and its part of a sum is the same in any company.
-    """
-
-    def __init__(self, system: System, right: Array, guess: Array, pool: Executor) -> None:
-        self._system, self._pool = system, pool
-        self.x, self._residual = guess, right + system.anchor * guess
-        self._towards, self._image = np.empty_like(right), np.empty_like(right)
-        self._blocks = slices(len(right), ROWS)
-        self.size = np.zeros(right.shape[1])
-        self._length: Array = np.zeros(right.shape[1], np.float32)
-        self._keep = self._length
-
-    def start(self) -> Float:
-        """The energy (K,) of what is missing at first; ``size``, of all that is asked for."""
-        self.size = self._sum(self._sizes)
-        return self._sum(self._first)
-
-    def go(self, energy: Float) -> Float:
-        """One step; the energy that is then left."""
-        self._length = _ratio(energy, self._sum(self._curvature))
-        left = self._sum(self._descend)
-        self._keep = _ratio(left, energy)
-        self._sum(self._turn)
-        return left
-
-    def _sum(self, step: Callable[[slice], Float]) -> Float:
-        return np.asarray(sum(self._pool.map(step, self._blocks), np.zeros(len(self.size))))
-
-    def _scaled(self, rows: slice) -> Array:
-        return np.asarray(self._residual[rows] / self._system.diagonal[rows], np.float32)
-
-    def _sizes(self, rows: slice) -> Float:
-        return _dot(self._residual[rows], self._scaled(rows))
-
-    def _first(self, rows: slice) -> Float:
-        self._residual[rows] -= self._system.product(self.x, rows)
-        self._towards[rows] = self._scaled(rows)
-        return _dot(self._residual[rows], self._towards[rows])
-
-    def _curvature(self, rows: slice) -> Float:
-        self._image[rows] = self._system.product(self._towards, rows)
-        return _dot(self._towards[rows], self._image[rows])
-
-    def _descend(self, rows: slice) -> Float:
-        self.x[rows] += self._length * self._towards[rows]
-        self._residual[rows] -= self._length * self._image[rows]
-        return _dot(self._residual[rows], self._scaled(rows))
-
-    def _turn(self, rows: slice) -> Float:
-        self._towards[rows] *= self._keep
-        self._towards[rows] += self._scaled(rows)
-        return np.zeros(len(self.size))
-
-
-def _dot(a: Array, b: Array) -> Float:
-    """Products (K,) of the columns; eight rows are summed as one, which numpy does faster."""
-    product, columns = a * b, a.shape[1]
-    whole = len(a) // 8 * 8
-    sums = product[:whole].reshape(-1, 8 * columns).sum(axis=0).reshape(8, columns)
-    rest = product[whole:].sum(axis=0, dtype=np.float64)
-    return np.asarray(sums.sum(axis=0, dtype=np.float64) + rest)
-
-
-def _ratio(a: Float, b: Float) -> Array:
-    return np.asarray(a / np.where(b > 0, b, 1) * (b > 0), np.float32)
 
 
 @dataclass(frozen=True)
@@ -226,7 +90,7 @@ class Fit:
         first = found[:, :columns].copy()
         self._second = data, self._of_parts(weights[:, 1]) * self._stiffness(first)
         self._hold(*self._second)
-        near = np.where(is_rough, np.inf, tolerance)[twice]
+        near = np.where(is_rough, 1.0, tolerance)[twice]
         found[:, twice] = self._system.solve(right[:, twice], found[:, twice], near)
         return found, first - found[:, :columns]
 

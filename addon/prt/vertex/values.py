@@ -15,7 +15,7 @@ from .fit_mesh import interpolated
 from .parts import Parts, buried_points
 from .traced import Array, Mask, Traced, part_of
 
-NEAR, NEAREST = 0.3, (3e-4, 3e-3)  # of the noise may a fit err, but no less and no more
+NEAR, NEAREST = 0.1, (1e-4, 1e-3)  # of the noise may a fit err, but no less and no more
 TRIAL = (1.0, 0.1)  # weights that tell whether a fit is promising
 WORSE = 1.5  # times the mean square that points miss: more than a fit loses by samples left out
 
