@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ..parallel import workers
+from ..parallel import TICK, workers
 from ..place_tape import RayEnds
 from ..slices import slices
 from ..tracing.confirm import NEARLY_DARK
@@ -171,10 +171,19 @@ class Kept:
     def _each(self, work: Callable[[Packed], None]) -> Iterator[int]:
         """Do ``work`` with all that is packed, whichever comes first."""
         with workers(self._threads) as pool:
-            for future in [pool.submit(work, its.result()) for its in self._packed]:
-                while not wait([future], timeout=0.5).done:
-                    yield 0
+            at_work = []
+            for packed in self._packed:
+                yield from _alive(packed)
+                at_work.append(pool.submit(work, packed.result()))
+            for future in at_work:
+                yield from _alive(future)
                 future.result()
+        yield 0
+
+
+def _alive(future: Future[Any]) -> Iterator[int]:
+    """Yields 0 now and then until ``future`` is done."""
+    while not wait([future], TICK).done:
         yield 0
 
 
