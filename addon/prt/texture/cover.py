@@ -60,6 +60,8 @@ def locate(
     size = layout.size
     best = np.full(size * size, NOWHERE)
     used = np.flatnonzero(solid)
+    if wanted is not None:
+        used = used[_about(layout.corners[used], wanted.reshape(size, size))]
     for triangle, row in _rows(layout, used):
         low, high = _spans(layout.corners[triangle], row)
         first = np.clip(np.ceil(low - 1 - MARGIN), 0, size).astype(np.int64)
@@ -78,6 +80,24 @@ def locate(
             np.minimum.at(best, texel, distance.astype(np.int64) << 32 | of)
             yield 0
     return np.asarray(np.where(best == NOWHERE, -1, best & 0xFFFFFFFF), np.int32)
+
+
+def _about(corners: Float, wanted: Mask) -> Mask:
+    """Which of the triangles ``corners`` (M, 3, 2) have a texel that is ``wanted`` (N, N) within
+    reach of a read of the box about them."""
+    size = len(wanted)
+    before = np.zeros((size + 1, size + 1), np.int32)  # of all rows and columns before each
+    np.cumsum(np.cumsum(wanted, axis=0, dtype=np.int32), axis=1, out=before[1:, 1:])
+    (left, low), (right, high) = (
+        np.clip(ends, 0, size).astype(np.int64).T
+        for ends in (
+            np.ceil(corners.min(axis=1) - 1 - MARGIN),
+            np.floor(corners.max(axis=1) + 1 + MARGIN) + 1,
+        )
+    )
+    left, low = np.minimum(left, right), np.minimum(low, high)
+    counts = before[high, right] - before[low, right] - before[high, left] + before[low, left]
+    return np.asarray(counts > 0)
 
 
 def _rows(layout: Layout, used: Index) -> Generator[tuple[Index, Index], None, None]:

@@ -27,7 +27,7 @@ def push_pull(image: Array, known: Mask) -> Generator[None, None, None]:
         return
     masks = [known]
     while masks[-1].shape[0] > 1:
-        masks.append(_blocks(masks[-1]).any(axis=(1, 3)))
+        masks.append(_sums(masks[-1]))
     for k in range(image.shape[2]):
         column = np.ascontiguousarray(image[:, :, k])
         _fill(column, masks)
@@ -40,8 +40,7 @@ def _fill(image: Array, masks: list[Mask]) -> None:
     image[~masks[0]] = 0
     levels = [image]
     for mask in masks[:-1]:
-        counts = _blocks(mask).sum(axis=(1, 3), dtype=np.float32)
-        sums = _blocks(levels[-1]).sum(axis=(1, 3))
+        counts, sums = _sums(mask.astype(np.float32)), _sums(levels[-1])
         levels.append(np.asarray(sums / np.maximum(counts, 1), np.float32))
     for k in range(len(levels) - 2, -1, -1):
         unknown = ~masks[k]
@@ -49,13 +48,13 @@ def _fill(image: Array, masks: list[Mask]) -> None:
         levels[k][rows, columns] = _upsampled(levels[k + 1], rows, columns)
 
 
-def _blocks(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Squares of 2 x 2 (M, 2, M, 2) of ``values`` (N, N), with a row and a column of zeros more
-    where N is odd."""
+def _sums(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The sums (M, M) of squares of 2 x 2 of ``values`` (N, N), or which of them have any, with a
+    row and a column of zeros more where N is odd."""
     if len(values) % 2:
         values = np.pad(values, (0, 1))
-    half = len(values) // 2
-    return values.reshape(half, 2, half, 2)
+    rows = values[::2] + values[1::2]
+    return np.asarray(rows[:, ::2] + rows[:, 1::2])
 
 
 def _upsampled(coarse: Array, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> Array:

@@ -197,10 +197,11 @@ def _look_within(
     wanted = buried.copy()
     for first in range(0, len(buried), PIECE):
         rows = np.arange(first, min(first + PIECE, len(buried)))
-        for step in AROUND:
+        for step in AROUND[: len(AROUND) // 2]:  # the others are those seen from the other side
             near = charts.neighbours(rows, [step])[:, 0]
             both = (near >= 0) & ~buried[near] & ~buried[rows]
-            wanted[rows] |= both & (scale(transfer[rows] - transfer[near]) > most)
+            far = both & (scale(transfer[rows] - transfer[near]) > most)
+            wanted[rows[far]] = wanted[near[far]] = True
         yield tracer.cast
     of, found = yield from tracer.look_within(np.flatnonzero(wanted), buried, SHARES[1])
     of, found = of[buried[of]], found[buried[of]]
