@@ -191,6 +191,9 @@ class Bounces:
             _mark(used, fresh, np.concatenate(self._unbaked.unseen[before:]))
             before = len(self._unbaked.gathered)
         self._tape.save({})
+        if not self._count:  # those who gather here come later
+            self._unbaked.spread()
+            used |= self._unbaked.nodes >= 0
         self._used = np.flatnonzero(used)
         counts = self._unbaked.counts
         looks = 0 if self._tape.known else self._unbaked.looks

@@ -1,14 +1,16 @@
 """Light that bounces, in textures: the rays of a texel gather what leaves the surfaces about it."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 import shapes
+from prt_baker.addon.prt import bounced, place_tape
 from prt_baker.addon.prt import job as jobs
-from prt_baker.addon.prt import place_tape
 from prt_baker.addon.prt.bands import exit_radiance
 from prt_baker.addon.prt.light.projection import world_sh
+from prt_baker.addon.prt.texture.places import pilot_points
 from prt_baker.addon.prt.texturing import between_texels
 from test_baking import sky
 from test_bounces import WHITE, baked, bowl_job, job_of, rays_of, relative_rms, room, well_job
@@ -55,6 +57,18 @@ def test_a_white_furnace_fills_up_and_never_overflows():
         assert white.mean() > before
         before = white.mean()
     assert before == pytest.approx(1, abs=5e-3)
+
+
+def test_what_nobody_met_before_the_texels_sends_light_back_too(monkeypatch):
+    """Forty places miss many of the bowl's cells: those beside what they met count."""
+    monkeypatch.setattr(bounced, "pilot_points", partial(pilot_points, count=40))
+    covered, albedo = 0.7, 0.8
+    (direct,) = baked(in_textures(bowl_job(covered, albedo))).receivers
+    job = in_textures(bowl_job(covered, albedo, bounces=1))
+    (result,) = baked(job).receivers
+    plain = shown(job, direct)[:, 0]
+    truth = plain + albedo * covered * plain.mean(axis=0)
+    assert relative_rms(shown(job, result)[:, 0], truth) < 0.02
 
 
 def test_the_light_of_a_well_is_that_of_random_walks():

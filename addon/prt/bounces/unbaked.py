@@ -11,6 +11,7 @@ from collections.abc import Generator
 import numpy as np
 import numpy.typing as npt
 
+from ..slices import slices
 from ..surface.points import Points, morton_order, surface_bias
 from ..tracing.buried import buried, is_dark, rays_for
 from ..tracing.rays import Occlusion
@@ -18,7 +19,7 @@ from ..tracing.transfer import Counts
 from .entries import Entries
 from .hits import Gathered
 from .keeper import Trace
-from .patches import patches
+from .patches import Keys, keys_of, patches
 
 Array = npt.NDArray[np.float32]
 Index = npt.NDArray[np.int64]
@@ -26,6 +27,7 @@ Float = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 SHARE, FEWEST = 2, 32  # of a point's rays
+PIECE = 1 << 16  # cells that are looked at together
 ROUNDS = 6  # what is found only after so many takes part in nothing
 
 
@@ -57,6 +59,7 @@ class Unbaked:
         nodes = np.full(2 * entries.count, -1, np.int32)
         nodes[: entries.count] = entries.points
         self.nodes, self.values, self.gathered, self.unseen = nodes, [], [], []
+        self._patches: list[tuple[Keys, Index]] = []
         self.counts = Counter()
 
     @property
@@ -70,7 +73,7 @@ class Unbaked:
         new = used[self.nodes[used] < 0]
         if not len(new):
             return
-        points, of_cells, inside = self._places(new)
+        points, of_cells, inside, keys = self._places(new)
         order = morton_order(points.origins)
         places = Points(points.origins[order], points.normals[order], points.element_points)
         few = max(FEWEST, rays // SHARE)
@@ -78,18 +81,37 @@ class Unbaked:
         numbers = np.empty(len(order), np.int64)
         numbers[order] = self._first_node + self.places + np.arange(len(order))
         self.nodes[new] = numbers[of_cells]
+        self._patches.append((keys, numbers[: len(keys)]))
         self.values.append(values)
         self.gathered.append(gathered)
         self.unseen.append(inside[order] & is_dark(values))
         self.counts += counts
 
-    def _places(self, cells: Index) -> tuple[Points, Index, Mask]:
+    def spread(self) -> None:
+        """Give all other cells of the patches that were found their nodes as well: what was looked
+        from so far met others of these, and what comes may meet any."""
+        if not self._patches:
+            return
+        keys, numbers = (np.concatenate(its) for its in zip(*self._patches, strict=True))
+        names, first = np.unique(keys, return_index=True)
+        left = np.flatnonzero(self.nodes < 0)
+        for some in slices(len(left), PIECE):
+            its = self._keys(self._points(left[some]))
+            at = np.minimum(np.searchsorted(names, its), len(names) - 1)
+            self.nodes[left[some]] = np.where(names[at] == its, numbers[first[at]], -1)
+
+    def _keys(self, cells: Points) -> Keys:
+        """Names of the patches (E,) of ``cells``."""
+        centres, normals = cells.origins.astype(np.float64), cells.normals.astype(np.float64)
+        return keys_of(centres, normals, self._entries.side)
+
+    def _places(self, cells: Index) -> tuple[Points, Index, Mask, Keys]:
         """A place for every patch of the entries ``cells`` (E,), and for each cell of its own where
         the patch's lies inside of something and the cell's does not, nearer to a corner: beside
-        a thin wall it would be dark.  The place of each cell (E,); and which lie inside."""
+        a thin wall it would be dark.  The place of each cell (E,); which lie inside; and the keys
+        of the patches, whose places come first."""
         its = self._points(cells)
-        centres, normals = its.origins.astype(np.float64), its.normals.astype(np.float64)
-        found = patches(centres, normals, self._entries.side)
+        found = patches(its.origins.astype(np.float64), self._keys(its))
         of_patches, inside = self._seen_points(cells[found.middle], ((cells[found.rim], None),))
         alone = np.flatnonzero(inside[found.of_cells])
         corners = tuple((cells[alone], k) for k in range(3))
@@ -99,7 +121,7 @@ class Unbaked:
         origins = np.concatenate([of_patches.origins, own.origins[seen]])
         facing = np.concatenate([of_patches.normals, own.normals[seen]])
         inside = np.concatenate([inside, np.zeros(len(seen), bool)])
-        return Points(origins, facing, of_patches.element_points), of_cells, inside
+        return Points(origins, facing, of_patches.element_points), of_cells, inside, found.keys
 
     def _seen_points(
         self, entries: Index, others: tuple[tuple[Index, int | None], ...]
