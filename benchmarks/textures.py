@@ -96,7 +96,7 @@ class Bench:
         self.scene, self.size, receiver = scene, size, scene.receiver
         self.sky = occlusion(scene.vertices, scene.triangles)
         self.mesh = Mesh.of(receiver, scene.uvs, size)
-        self.index, self.on = value_of(cover(self.mesh.layout, self.mesh.surface.solid))
+        self.index, self.on, _ = value_of(cover(self.mesh.layout, self.mesh.surface.solid))
         self.edges = edges_of(receiver, self.mesh.surface, self.mesh.layout)
         at = random_places(Surface.of(receiver).areas, places, 1)
         found = starts(self.mesh.surface, element_triangles(receiver), receiver.normals, at)

@@ -29,7 +29,7 @@ def covered(layout):
 
 def test_no_read_leaves_the_texels():
     layout, random = some_triangles(32), np.random.default_rng(1)
-    index, triangles = covered(layout)
+    index, triangles, _ = covered(layout)
     places = random.dirichlet((0.3, 0.3, 0.3), (len(layout.corners), 3000))
     read = np.einsum("fsk,fkc->fsc", places, layout.corners).reshape(-1, 2)
     texels, weights = footprint((read + 0.5) / 32, 32)
@@ -41,7 +41,7 @@ def test_no_read_leaves_the_texels():
 
 def test_a_texel_stands_on_the_triangle_under_its_centre_or_on_the_nearest():
     layout = some_triangles(32)
-    index, triangles = covered(layout)
+    index, triangles, beside = covered(layout)
     centres = np.stack([index % 32, index // 32], axis=1).astype(float)
     each = np.array(
         [cover._distances(layout.corners, np.full(len(index), k), centres) for k in range(40)]
@@ -49,6 +49,17 @@ def test_a_texel_stands_on_the_triangle_under_its_centre_or_on_the_nearest():
     chosen, least = each[triangles, np.arange(len(index))], each.min(axis=0)
     assert chosen[least < 1] == pytest.approx(least[least < 1], abs=1e-6)
     assert (triangles == (each <= each.min(axis=0) + 1e-9).argmax(axis=0))[chosen == 0].all()
+    np.testing.assert_array_equal(beside, chosen > 2 / cover.STEPS)
+
+
+def test_some_texels_are_found_as_among_all():
+    layout, offset = some_triangles(64), np.array([0.3, -0.2])
+    solid, some = np.ones(40, bool), np.random.default_rng(3).permutation(64 * 64)
+    every = value_of(cover.locate(layout, solid, offset, np.arange(64 * 64)))
+    assert (every < 0).any()
+    for texels in (some[:1], some[:30], some[:2000]):
+        found = value_of(cover.locate(layout, solid, offset, texels))
+        np.testing.assert_array_equal(found, every[texels])
 
 
 def test_the_same_texels_in_chunks_of_any_size(monkeypatch):
@@ -62,7 +73,7 @@ def test_the_same_texels_in_chunks_of_any_size(monkeypatch):
 def test_places_lie_inside_of_their_triangles():
     receiver, uvs, *_ = rooms.torus()
     mesh = Mesh.of(receiver, uvs, 64)
-    index, triangles = value_of(cover.cover(mesh.layout, mesh.surface.solid))
+    index, triangles, _ = value_of(cover.cover(mesh.layout, mesh.surface.solid))
     places = mesh.places(index, triangles, np.zeros(2))
     assert places.barycentric.min() > 0
     assert places.barycentric.sum(axis=1) == pytest.approx(1)

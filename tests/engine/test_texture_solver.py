@@ -26,7 +26,7 @@ class Bench:
         self.receiver, self.uvs, self.size = receiver, uvs, size
         self.sky = rays.occlusion(vertices, triangles)
         self.mesh = Mesh.of(receiver, uvs, size)
-        self.index, self.triangles = value_of(
+        self.index, self.triangles, _ = value_of(
             cover.cover(self.mesh.layout, self.mesh.surface.solid)
         )
 

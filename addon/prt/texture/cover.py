@@ -7,6 +7,7 @@ a triangle: what a read finds beyond a chart's border is what draws lines along 
 
 from collections.abc import Generator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,9 @@ Mask = npt.NDArray[np.bool_]
 MARGIN = 1 / 128  # texels: a GPU rounds the place of a read to 1/256
 PAIRS = 1 << 19  # of triangles and texels that are looked at together
 NOWHERE = np.int64(2**63 - 1)
+BLOCK = 8  # texels
 STEPS = 2.0**26  # of a distance of one texel
+TRIANGLE = 0xFFFFFFFF  # the bits that hold a triangle's number
 
 
 @dataclass(frozen=True)
@@ -37,31 +40,54 @@ class Layout:
         corners = np.asarray(uvs, np.float64)[np.asarray(receiver.triangle_corners)]
         return cls(np.clip(corners * size - 0.5, -0.5, size - 0.5), size)
 
+    @cached_property
+    def box(self) -> tuple[Float, Float]:
+        """The lowest and the highest coordinates (2, F) of each triangle."""
+        a, b, c = np.ascontiguousarray(self.corners.transpose(1, 2, 0))
+        return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
-def cover(layout: Layout, solid: Mask) -> Generator[int, None, tuple[Index, Index]]:
+
+def cover(layout: Layout, solid: Mask) -> Generator[int, None, tuple[Index, Index, Mask]]:
     """The texels (T,) that reads of the triangles that are ``solid`` (F,) may touch, as flat
-    indices in rising order, and the triangle (T,) on or nearest to the centre of each.
+    indices in rising order, the triangle (T,) on or nearest to the centre of each, the first of
+    equals, and which of the centres lie beside it (T,).
 
     Yields 0 now and then.
     """
-    nearest = yield from locate(layout, solid, np.zeros(2))
-    index = np.flatnonzero(nearest >= 0)
-    return index, nearest[index].astype(np.int64)
+    best = np.full(layout.size**2, NOWHERE)
+    for texel, key in _pairs(layout, np.flatnonzero(solid), np.zeros(2)):
+        np.minimum.at(best, texel, key)
+        yield 0
+    index = np.flatnonzero(best < NOWHERE)
+    return index, best[index] & TRIANGLE, best[index] > TRIANGLE
 
 
 def locate(
-    layout: Layout, solid: Mask, offset: Float, wanted: Mask | None = None
-) -> Generator[int, None, npt.NDArray[np.int32]]:
-    """For each texel (N²,) that reads may touch, of those ``wanted`` (N²,), the solid triangle on
-    or nearest to the place ``offset`` texels (2,) from its centre, the first of equals; else -1.
+    layout: Layout, solid: Mask, offset: Float, texels: Index
+) -> Generator[int, None, Index]:
+    """For each of ``texels`` (M,), all different, that reads may touch, the solid triangle on or
+    nearest to the place ``offset`` texels (2,) from its centre, the first of equals; else -1.
 
-    Yields 0 now and then.  The same for any size of the chunks.
+    Yields 0 now and then.
     """
-    size = layout.size
-    best = np.full(size * size, NOWHERE)
+    wanted: Mask = np.zeros(layout.size**2, bool)
+    wanted[texels] = True
     used = np.flatnonzero(solid)
-    if wanted is not None:
-        used = used[_about(layout.corners[used], wanted.reshape(size, size))]
+    used = used[_about(layout, used, wanted.reshape(layout.size, -1))]
+    best, order = np.full(len(texels), NOWHERE), np.argsort(texels)
+    for texel, key in _pairs(layout, used, offset, wanted):
+        np.minimum.at(best, order[np.searchsorted(texels, texel, sorter=order)], key)
+        yield 0
+    return np.where(best == NOWHERE, -1, best & TRIANGLE)
+
+
+def _pairs(
+    layout: Layout, used: Index, offset: Float, wanted: Mask | None = None
+) -> Generator[tuple[Index, Index], None, None]:
+    """Texels (M,) that reads of the triangles ``used`` may touch, of those ``wanted`` (N²,), and of
+    each the triangle in the low bits and, above, how far it is from the place ``offset`` texels
+    (2,) from the texel's centre; in chunks."""
+    size = layout.size
     for triangle, row in _rows(layout, used):
         low, high = _spans(layout.corners[triangle], row)
         first = np.clip(np.ceil(low - 1 - MARGIN), 0, size).astype(np.int64)
@@ -77,33 +103,29 @@ def locate(
                 texel, of, column, r = texel[chosen], of[chosen], column[chosen], r[chosen]
             place = np.stack([column, r], axis=1) + offset
             distance = np.minimum(_distances(layout.corners, of, place) * STEPS, 2.0**30)
-            np.minimum.at(best, texel, distance.astype(np.int64) << 32 | of)
-            yield 0
-    return np.asarray(np.where(best == NOWHERE, -1, best & 0xFFFFFFFF), np.int32)
+            yield texel, distance.astype(np.int64) << 32 | of
 
 
-def _about(corners: Float, wanted: Mask) -> Mask:
-    """Which of the triangles ``corners`` (M, 3, 2) have a texel that is ``wanted`` (N, N) within
-    reach of a read of the box about them."""
-    size = len(wanted)
-    before = np.zeros((size + 1, size + 1), np.int32)  # of all rows and columns before each
-    np.cumsum(np.cumsum(wanted, axis=0, dtype=np.int32), axis=1, out=before[1:, 1:])
+def _about(layout: Layout, used: Index, wanted: Mask) -> Mask:
+    """Which of the triangles ``used`` (M,) may be read with a texel that is ``wanted`` (N, N):
+    those that have one in the blocks of texels about them."""
+    rows, columns = np.nonzero(wanted)
+    count = len(wanted) // BLOCK + 1
+    before = np.zeros((count + 1, count + 1), np.int64)  # of all rows and columns before each
+    before[rows // BLOCK + 1, columns // BLOCK + 1] = 1
+    before = before.cumsum(axis=0).cumsum(axis=1)
     (left, low), (right, high) = (
-        np.clip(ends, 0, size).astype(np.int64).T
-        for ends in (
-            np.ceil(corners.min(axis=1) - 1 - MARGIN),
-            np.floor(corners.max(axis=1) + 1 + MARGIN) + 1,
-        )
+        np.clip(ends[:, used] / BLOCK, 0, count - 1).astype(np.int64)
+        for ends in (layout.box[0] - 1 - MARGIN, layout.box[1] + 1 + MARGIN)
     )
-    left, low = np.minimum(left, right), np.minimum(low, high)
+    right, high = right + 1, high + 1
     counts = before[high, right] - before[low, right] - before[high, left] + before[low, left]
     return np.asarray(counts > 0)
 
 
 def _rows(layout: Layout, used: Index) -> Generator[tuple[Index, Index], None, None]:
     """The triangles ``used`` with each row of texels whose reads they may touch, in chunks."""
-    heights = layout.corners[used, :, 1]
-    low, high = heights.min(axis=1), heights.max(axis=1)
+    low, high = (ends[1, used] for ends in layout.box)
     first = np.clip(np.ceil(low - 1 - MARGIN), 0, layout.size - 1).astype(np.int64)
     last = np.clip(np.floor(high + 1 + MARGIN), 0, layout.size - 1).astype(np.int64)
     counts = last - first + 1

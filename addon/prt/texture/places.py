@@ -9,7 +9,7 @@ import numpy.typing as npt
 from ..job import Receiver
 from ..surface.points import Points, Surface, element_triangles, surface_bias
 from ..surface.samples import Places, starts, stratified_places
-from .cover import Float, Index, Layout, Mask, barycentric, locate
+from .cover import Float, Index, Layout, barycentric, locate
 
 Array = npt.NDArray[np.float32]
 
@@ -67,11 +67,8 @@ class Mesh:
         self, texels: Index, offset: Float
     ) -> Generator[int, None, tuple[npt.NDArray[np.bool_], Places]]:
         """Which of the ``texels`` (M,) reads may touch, and the places nearest to ``offset`` from
-        their centres.  Yields 0 now and then."""
-        wanted: Mask = np.zeros(self.layout.size**2, bool)
-        wanted[texels] = True
-        nearest = yield from locate(self.layout, self.surface.solid, offset, wanted)
-        triangles = nearest[texels].astype(np.int64)
+        their centres.  All are different.  Yields 0 now and then."""
+        triangles = yield from locate(self.layout, self.surface.solid, offset, texels)
         found = triangles >= 0
         return found, self.places(texels[found], triangles[found], offset)
 

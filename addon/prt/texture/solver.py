@@ -3,6 +3,7 @@ the surface lies inside of other things, and stitched along seams."""
 
 from collections.abc import Generator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,7 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     far.
     """
     mesh = Mesh.of(receiver, uvs, size)
-    index, triangles = yield from cover(mesh.layout, mesh.surface.solid)
+    index, triangles, beside = yield from cover(mesh.layout, mesh.surface.solid)
     edges = edges_of(receiver, mesh.surface, mesh.layout)
     grid = Grid.of(size, index, edges.region[triangles])
     tracer = Tracer(mesh, index, triangles, trace, occlusion, order=settings.order, rays=rays)
@@ -91,8 +92,8 @@ def solve(  # noqa: PLR0917 - as for vertices, and where it lies
     yield from _counted(tracer, sharpened)
     seams = Samples.across(edges.seams, size, at)
     before = seams.read(values)
-    own = np.flatnonzero(work.state[known] != BURIED)
-    border, away = yield from _border(tracer, values, at, np.flatnonzero(known), own)
+    found = work.state[known] != BURIED
+    border, away = yield from _border(tracer, values, at, np.flatnonzero(known), found, beside)
     yield from _counted(tracer, stitch(values, seams, border, within.samples, away))
     values[:, 0] = np.maximum(values[:, 0], 0)
     errors = yield from _errors(tracer, values, at, settings, noise)
@@ -167,11 +168,21 @@ class Scale:
         """How many columns it is for."""
         return len(self.groups[0]) if self.groups else 0
 
+    @cached_property
+    def _all(self) -> Array:
+        """All groups side by side."""
+        return np.concatenate(self.groups, axis=1)
+
     def __call__(self, differences: Array) -> Array:
         """The largest of what the groups say of ``differences`` (M, K), relative (M,)."""
-        found = [np.zeros(len(differences), np.float32)]
-        found += [np.sqrt(np.square(differences @ group).sum(axis=1)) for group in self.groups]
-        return np.asarray(np.max(found, axis=0), np.float32)
+        found = np.zeros(len(differences), np.float32)
+        if self.groups:
+            squares, end = np.square(differences @ self._all), 0
+            for group in self.groups:
+                its = squares[:, end : end + group.shape[1]]
+                np.maximum(found, its @ np.ones(group.shape[1], np.float32), out=found)
+                end += group.shape[1]
+        return np.sqrt(found)
 
 
 def _push_out(
@@ -211,18 +222,25 @@ def _look_within(
     work.state[of] = TRACED
 
 
-def _border(
-    tracer: Tracer, values: Array, at: npt.NDArray[np.int32], rows: Index, own: Index
+def _border(  # noqa: PLR0917 - one caller
+    tracer: Tracer,
+    values: Array,
+    at: npt.NDArray[np.int32],
+    rows: Index,
+    found: npt.NDArray[np.bool_],
+    beside: npt.NDArray[np.bool_],
 ) -> Generator[int, None, tuple[Wanted, Float]]:
     """What was found where texels lie beyond the border of their charts, and how far outside of its
     chart each texel lies (T,).  ``values`` (T, K) are those of the tracer's ``rows`` (T,), of which
-    the ``own`` ones (M,) were not filled; ``at`` (N, N) is the place of each among them.  Yields
+    those that were ``found`` (T,) were not filled; ``at`` (N, N) is the place of each among them.
+    Of the tracer's texels those lie outside whose centres are ``beside`` their triangles.  Yields
     the rays cast so far."""
-    centres = yield from tracer.at(rows, CENTRE)
-    places = in_atlas(tracer.mesh.layout, centres)
-    away = outside(places, np.flatnonzero(at.reshape(-1) >= 0), len(at))
-    mine = own[away[own] > 0]
-    return Wanted.at(places[mine], values[mine], FOUND, at), away
+    out, away = np.flatnonzero(beside[rows]), np.zeros(len(rows))
+    places = in_atlas(tracer.mesh.layout, (yield from tracer.at(rows[out], CENTRE)))
+    index = np.flatnonzero(at.reshape(-1) >= 0)[out]
+    away[out] = outside(places, index, len(at))
+    mine = (away[out] > 0) & found[out]
+    return Wanted.at(places[mine], values[out[mine]], FOUND, at), away
 
 
 def _seam_report(scale: Scale, before: Array, after: Array) -> dict[str, Any]:
