@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..parallel import in_thread
+from ..slices import slices
 from ..surface.samples import Places
 from .cover import Float, Index, Layout, Mask
 from .refine import Size
@@ -37,7 +38,7 @@ EVERY = 0.5  # texels between samples of a seam
 MEET = 10.0  # weight of a difference across a seam
 PIECE = 1 << 16  # places that are found together
 STEPS, TOLERANCE = 100, 1e-3  # of the norm of the right side
-BLOCK = 1 << 13  # samples of a product that stay in the processor's cache
+CACHED = 1 << 17  # floats that are found before they are summed: they stay in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -88,9 +89,10 @@ class Samples:
     def read(self, values: Array) -> Array:
         """What is read (S, K) of ``values`` (T, K)."""
         out = np.empty((len(self.rows), values.shape[1]), np.float32)
-        for first in range(0, len(out), BLOCK):
-            some = slice(first, first + BLOCK)
-            np.einsum("sj,sjk->sk", self.weights[some], values[self.rows[some]], out=out[some])
+        a_read = max(1, self.rows.shape[1] * values.shape[1])
+        for some in slices(len(out), max(1, CACHED // a_read)):
+            found = values.take(self.rows[some], axis=0, mode="clip")
+            out[some] = (self.weights[some, None] @ found)[:, 0]
         return out
 
 
@@ -183,7 +185,9 @@ class Stitch:
         """The transposed weights times ``of_samples`` (S, K)."""
         sums = np.zeros((len(self.rows), of_samples.shape[1]), np.float32)
         for samples, weights in self._slots:
-            sums[: len(samples)] += weights * of_samples[samples]
+            found = of_samples.take(samples, axis=0, mode="clip")
+            found *= weights
+            sums[: len(samples)] += found
         out = np.empty_like(sums)
         out[self._order] = sums
         return out
