@@ -21,7 +21,7 @@ Mask = npt.NDArray[np.bool_]
 MARGIN = 1 / 128  # texels: a GPU rounds the place of a read to 1/256
 PAIRS = 1 << 19  # of triangles and texels that are looked at together
 NOWHERE = np.int64(2**63 - 1)
-BLOCK = 8  # texels
+BLOCK = 8  # texels a side, which are asked for together
 STEPS = 2.0**26  # of a distance of one texel
 TRIANGLE = 0xFFFFFFFF  # the bits that hold a triangle's number
 
