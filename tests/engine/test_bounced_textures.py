@@ -10,10 +10,12 @@ from prt_baker.addon.prt import bounced, place_tape
 from prt_baker.addon.prt import job as jobs
 from prt_baker.addon.prt.bands import exit_radiance
 from prt_baker.addon.prt.light.projection import world_sh
+from prt_baker.addon.prt.run import run
 from prt_baker.addon.prt.texture.places import pilot_points
 from prt_baker.addon.prt.texturing import between_texels
 from test_baking import sky
 from test_bounces import WHITE, baked, bowl_job, job_of, rays_of, relative_rms, room, well_job
+from test_run import finish
 
 __all__ = ["room"]  # a fixture
 SIZE = 128
@@ -144,7 +146,8 @@ def test_another_light_traces_no_texel_again(room):
     brighter = baked(replace(job, light=replace(job.light, strength=2.0)))
     assert to_the_sky(brighter) == [0, 0]
     other = replace(job, light=jobs.LightSource(pixels=sky(1)))
-    found, fresh = baked(other), baked(uncached(other))
+    (steps, found), fresh = finish(run(other)), baked(uncached(other))
+    assert [step.fraction for step in steps] == sorted(step.fraction for step in steps)
     for a, b, c in zip(found.receivers, fresh.receivers, first.receivers, strict=True):
         np.testing.assert_array_equal(a.transfer, b.transfer)
         np.testing.assert_array_equal(a.residual, b.residual)

@@ -268,9 +268,9 @@ class Leaving:
 
     def recall(
         self, rays: int, out: Array, ends: RayEnds, threads: int
-    ) -> Generator[int, None, None]:
-        """As ``look``, for the places whose ``ends`` are known, which are not traced; yields the
-        rays that this has cast, none."""
+    ) -> Generator[None, None, None]:
+        """As ``look``, for the places whose ``ends`` are known, which are not traced.  Yields now
+        and then."""
 
         def gather(some: slice) -> None:
             numbers = ends.known[some]
@@ -278,8 +278,7 @@ class Leaving:
 
         pool = workers(threads)
         try:
-            for _ in pool.map(gather, slices(len(ends.known), PIECE)):
-                yield 0
+            yield from pool.map(gather, slices(len(ends.known), PIECE))
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
