@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from ..slices import cached_slices
 from .shares import shares
 
 Array = npt.NDArray[np.float32]
@@ -12,7 +13,6 @@ Index = npt.NDArray[np.int64]
 Entry = npt.NDArray[np.int32]
 
 PIECE = 1 << 10  # places of a chunk, which one thread sums
-CACHED = 1 << 17  # floats that are found before they are summed: they stay in the processor's cache
 EVEN = 8  # a row's width is a multiple of it, so that its sum is the same bits in any company
 
 
@@ -51,10 +51,8 @@ class Packed:
         are sources; nothing comes from the last one."""
         count, columns = len(self.numbers), table.shape[1]
         means = np.empty((count, 1, columns), np.float32)
-        rows = max(1, CACHED // max(1, self.entries.shape[1] * columns))
-        starts = np.arange(0, count, rows)
-        for low, width in zip(starts, np.maximum.reduceat(self.widths, starts), strict=True):
-            some = slice(low, low + rows)
+        for some in cached_slices(count, self.entries.shape[1] * columns):
+            width = int(self.widths[some].max())
             found = table.take(self.entries[some, :width], axis=0, mode="clip")
             np.matmul(self.shares[some, None, :width], found, out=means[some])
         return means[:, 0]

@@ -19,8 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..parallel import in_thread
-from ..slices import slices
+from ..slices import weighted_sums
 from ..surface.samples import Places
+from ..vertex.system import ratio
 from .cover import Float, Index, Layout, Mask
 from .refine import Size
 from .sampling import footprint
@@ -38,7 +39,6 @@ EVERY = 0.5  # texels between samples of a seam
 MEET = 10.0  # weight of a difference across a seam
 PIECE = 1 << 16  # places that are found together
 STEPS, TOLERANCE = 100, 1e-3  # of the norm of the right side
-CACHED = 1 << 17  # floats that are found before they are summed: they stay in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,7 @@ class Samples:
 
     def read(self, values: Array) -> Array:
         """What is read (S, K) of ``values`` (T, K)."""
-        out = np.empty((len(self.rows), values.shape[1]), np.float32)
-        a_read = max(1, self.rows.shape[1] * values.shape[1])
-        for some in slices(len(out), max(1, CACHED // a_read)):
-            found = values.take(self.rows[some], axis=0, mode="clip")
-            out[some] = (self.weights[some, None] @ found)[:, 0]
-        return out
+        return weighted_sums(values, self.rows, self.weights)
 
 
 @dataclass(frozen=True)
@@ -167,12 +162,12 @@ class Stitch:
             if (energy <= enough).all():
                 break
             image = self._keep * towards + self._gathered(self._read(towards))
-            length = _ratio(energy, _dot(towards, image))
+            length = ratio(energy, _dot(towards, image))
             x += length * towards
             residual -= length * image
             scaled = residual / self._diagonal
             before, energy = energy, _dot(residual, scaled)
-            towards *= _ratio(energy, before)
+            towards *= ratio(energy, before)
             towards += scaled
             yield
         values[self.rows] += x
@@ -196,10 +191,6 @@ class Stitch:
 def _dot(a: Array, b: Array) -> Float:
     """Products (K,) of the columns."""
     return np.asarray((a * b).sum(axis=0, dtype=np.float64))
-
-
-def _ratio(a: Float, b: Float) -> Array:
-    return np.asarray(a / np.where(b > 0, b, 1) * (b > 0), np.float32)
 
 
 def outside(places: Float, index: Index, size: int) -> Float:

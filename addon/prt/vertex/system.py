@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..parallel import workers
-from ..slices import slices
+from ..slices import slices, weighted_sums
 from ..surface.points import Float, Index
 from .fit_mesh import Array, Mesh, Quadratic
 
@@ -24,7 +24,6 @@ STEPS = 60
 BLOCK = 32  # points
 ROWS = 8192  # done together, whole blocks: of fewer ones threads wait for Python's lock
 WIDTH = 4  # rows with about as many entries outside of their blocks are done together
-CACHED = 1 << 17  # floats that are found before they are summed: they stay in the processor's cache
 
 
 class System:
@@ -84,7 +83,7 @@ class System:
 class _Others:
     """What some of the ``rows`` (R,) of a slab hold outside of their blocks, as far as they have
     so much: the ``columns`` (R, W) of the matrix, the ``entries`` (R, W) there and their ``values``
-    (R, 1, W)."""
+    (R, W)."""
 
     rows: Index
     columns: Index
@@ -93,9 +92,7 @@ class _Others:
 
     def add(self, x: Array, out: Array) -> None:
         """Add what these entries make of ``x`` (P, K) to the slab's rows ``out``."""
-        for some in slices(len(self.rows), max(1, CACHED // (self.columns.shape[1] * x.shape[1]))):
-            found = x.take(self.columns[some], axis=0, mode="clip")
-            out[self.rows[some]] += (self.values[some] @ found)[:, 0]
+        out[self.rows] += weighted_sums(x, self.columns, self.values)
 
 
 class _Slab:
@@ -124,7 +121,7 @@ class _Slab:
             has = k < degree[chosen, None]
             at = np.where(has, before[chosen, None] + k, 0)
             where, what = np.where(has, column[at], 0), np.where(has, its[at], nothing)
-            others.append(_Others(chosen, where, what, np.zeros((len(at), 1, size), np.float32)))
+            others.append(_Others(chosen, where, what, np.zeros(at.shape, np.float32)))
         return cls(rows, entries[is_inside], flat, others)
 
     def set(self, entries: Array, diagonal: Float) -> None:
@@ -138,7 +135,7 @@ class _Slab:
         held[:, step, step] += SLACK * its
         self._inverse = np.linalg.inv(held)
         for others in self._others:
-            others.values[:, 0] = entries.take(others.entries)
+            others.values[:] = entries.take(others.entries)
 
     def product(self, x: Array) -> Array:
         """These rows of the matrix times ``x`` (P, K)."""
@@ -176,9 +173,9 @@ class _Gradients:
 
     def go(self, energy: Float) -> Float:
         """One step; the energy that is then left."""
-        self._length = _ratio(energy, self._sum(self._curvature))
+        self._length = ratio(energy, self._sum(self._curvature))
         left = self._sum(self._descend)
-        self._keep = _ratio(left, energy)
+        self._keep = ratio(left, energy)
         self._sum(self._turn)
         return left
 
@@ -224,5 +221,6 @@ def _dot(a: Array, b: Array) -> Float:
     return np.asarray(sums.sum(axis=0, dtype=np.float64))
 
 
-def _ratio(a: Float, b: Float) -> Array:
+def ratio(a: Float, b: Float) -> Array:
+    """``a`` (K,) over ``b`` (K,), 0 where that is not positive."""
     return np.asarray(a / np.where(b > 0, b, 1) * (b > 0), np.float32)
