@@ -256,6 +256,10 @@ class Bake(ABC, Generic[What]):
         """About how many rays a point traces towards the map's light."""
         return self._scene.world.turns * self._settings.map_rays / 2
 
+    def _cast(self) -> int:
+        """The rays cast so far, without looks."""
+        return self._counts[CAST] + self._counts[MAP_RAYS]
+
     def _azimuths(self, origins: Array, normals: Array) -> npt.NDArray[np.float64] | None:  # noqa: ARG002
         """By what angles the rays of places are turned (M,); None is at random."""
         return None
@@ -334,7 +338,7 @@ class Bake(ABC, Generic[What]):
         repeated = int((self._points.element_points >= 0).sum()) - count
         names = {CAST, MAP_RAYS}
         skipped = {name: rays for name, rays in self._counts.items() if name not in names and rays}
-        cast = self._counts[CAST] + self._counts[MAP_RAYS] + self._occlusion.asked
+        cast = self._cast() + self._occlusion.asked
         spent = {k: v - self._before.get(k, 0.0) for k, v in meter.seconds.items()}
         return {
             "name": self._receiver.name,

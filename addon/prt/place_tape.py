@@ -30,10 +30,10 @@ class PlaceTape:
         entry = cache.get(key) if key else None
         self.known = entry is not None
         self.report: dict[str, Any] = entry.report if entry else {}
-        self._old: Arrays = entry.arrays if entry else {}
+        self.old: Arrays = entry.arrays if entry else {}
         self._new: dict[str, list[tuple[identity.Keys, Bits, Known]]] = {}
         self._ends: dict[str, list[RayEnds]] = {}
-        self._room = LARGEST - sum(array.nbytes for array in self._old.values())
+        self._room = LARGEST - sum(array.nbytes for array in self.old.values()) if key else -1
         self._lock = Lock()
 
     def visibility(
@@ -65,12 +65,10 @@ class PlaceTape:
         new is.  Safe to call from several threads."""
         with self._lock:
             self._room -= size
-            if self._key and self._room >= 0:
-                return True
-            self._new.clear()
-            for its in (its for some in self._ends.values() for its in some):
-                its.kept.clear()
-            return False
+            if self._room < 0:
+                self._new.clear()
+                self._ends.clear()
+            return self._room >= 0
 
     def save(self, report: dict[str, Any]) -> None:
         """See Record."""
@@ -78,7 +76,7 @@ class PlaceTape:
         added = {name: both for name, both in added.items() if len(both[0])}
         if not added or not self.has_room_for(0):
             return
-        arrays = dict(self._old)
+        arrays = dict(self.old)
         for name, (keys, bits) in added.items():
             before = arrays.get(f"{name} keys", keys[:0])
             every = np.concatenate([before, keys])
@@ -92,21 +90,21 @@ class PlaceTape:
                 arrays.update(zip(names, found, strict=True))
         self._cache.put(self._key, arrays, report)
 
-    def look_up(self, name: str, keys: identity.Keys) -> tuple[Arrays, Index, Known]:
-        """What an earlier bake kept, where in that which has this ``name`` places with these
-        ``keys`` stand (M,), and which of them do."""
-        old = self._old.get(f"{name} keys", keys[:0])
+    def look_up(self, name: str, keys: identity.Keys) -> tuple[Index, Known]:
+        """Where in what an earlier bake kept by this ``name`` places with these ``keys`` stand
+        (M,), and which of them do."""
+        old = self.old.get(f"{name} keys", keys[:0])
         if not len(old):
-            return self._old, np.zeros(len(keys), np.int64), np.zeros(len(keys), bool)
+            return np.zeros(len(keys), np.int64), np.zeros(len(keys), bool)
         rows = np.minimum(np.searchsorted(old, keys), len(old) - 1)
-        return self._old, rows, np.asarray(old[rows] == keys)
+        return rows, np.asarray(old[rows] == keys)
 
     def _recall(self, name: str, keys: identity.Keys, width: int) -> tuple[Bits, Known]:
         """What is known by this ``name`` of places with these ``keys``, and of which."""
-        old, rows, known = self.look_up(name, keys)
+        rows, known = self.look_up(name, keys)
         bits = np.zeros((len(keys), width), np.uint8)
         if known.any():
-            bits[known] = old[f"{name} bits"][rows[known]]
+            bits[known] = self.old[f"{name} bits"][rows[known]]
         if self.has_room_for(width * int((~known).sum())):
             self._new.setdefault(name, []).append((keys, bits, known))
         return bits, known
@@ -118,7 +116,7 @@ class RayEnds:
 
     def __init__(self, tape: PlaceTape, name: str, keys: identity.Keys) -> None:
         self._tape, self._keys = tape, keys
-        self._arrays, self._rows, known = tape.look_up(name, keys)
+        self._rows, known = tape.look_up(name, keys)
         self._name = name
         self.known = np.flatnonzero(known)
         self.kept: list[tuple[identity.Keys, Index, Ends]] = []
@@ -126,7 +124,7 @@ class RayEnds:
     def of(self, numbers: Index) -> tuple[Index, Ends]:
         """How many rays of each of the known places ``numbers`` (P,) meet something, and where
         these end, one place after the other."""
-        counts, starts, ends = (self._arrays[f"{self._name} {what}"] for what in OF_ENDS)
+        counts, starts, ends = (self._tape.old[f"{self._name} {what}"] for what in OF_ENDS)
         rows = self._rows[numbers]
         its = counts[rows].astype(np.int64)
         before = np.repeat(starts[rows] - (np.cumsum(its) - its), its)

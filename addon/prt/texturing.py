@@ -31,7 +31,6 @@ from .texture.solver import Texels
 from .texture.solver import solve as solve_texels
 from .tiles import largest_size
 from .tracing import identity
-from .tracing.transfer import CAST, MAP_RAYS
 from .verify import Shown, shown_at
 from .vertex.traced import Found
 
@@ -223,10 +222,6 @@ class TextureWork(Bake[Found]):
         for _ in self._leaving.recall(rays, more, ends, self._settings.threads):
             yield self._cast() - before
         return np.concatenate([direct, more, seen], axis=1)
-
-    def _cast(self) -> int:
-        """The rays cast so far."""
-        return self._counts[CAST] + self._counts[MAP_RAYS]
 
     def _apart(self, values: Array) -> tuple[Array, Array]:
         """``values`` (M, K) without the visibility, and that."""
