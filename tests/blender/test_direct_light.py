@@ -150,6 +150,23 @@ class TestTextures:
         assert len(self.images(red[0])) == 1
         assert len([image for image in bpy.data.images if atlas_images.of(image)]) == 1
 
+    def test_a_later_bake_without_it_takes_the_file_away(self, scene, red, tmp_path, monkeypatch):
+        target, names = Target("texture", tmp_path, "room"), ["room PRT.exr", "room PRT_direct.exr"]
+
+        def found():
+            return sorted(path.name for path in tmp_path.iterdir())
+
+        baked(scene, red, target, keep_direct=True, resolution=64)
+        other = tmp_path / "den PRT_direct.exr"
+        other.write_bytes((tmp_path / names[1]).read_bytes())
+        with monkeypatch.context() as patch:
+            patch.setattr(writeback, "_attach", lambda *_: 1 / 0)
+            with pytest.raises(ZeroDivisionError):
+                baked(scene, red, target, resolution=64)
+        assert found() == [other.name, *names]
+        baked(scene, red, target, resolution=64)
+        assert found() == [other.name, names[0]]
+
     def test_a_picture_of_the_artists_in_its_place_stays(self, scene, red, tmp_path):
         place = Path(tmp_path) / "room PRT_direct.exr"
         place.write_bytes(b"a painting")
@@ -158,3 +175,5 @@ class TestTextures:
         assert [path.name for path in tmp_path.iterdir()] == [place.name]
         assert place.read_bytes() == b"a painting"
         assert not any(stamp.KEY in bpy.data.objects[name] for name in red)
+        baked(scene, red, Target("texture", tmp_path, "room"), resolution=64)
+        assert place.read_bytes() == b"a painting"
