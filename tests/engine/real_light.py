@@ -43,11 +43,11 @@ def exit_radiance(exact, normals, visible, seed=0, count=64):
     """Of points whose visibility is the function ``visible`` of point numbers and directions."""
     cosines, directions = rays_about(normals, seed, count)
     picks = np.random.default_rng([seed, 2]).integers(0, 1 << 40, len(normals))
-    point, towards = exact.candidates(normals, picks)
+    drawn = exact.drawn(normals, picks)
     every = np.repeat(np.arange(len(normals)), count)
     seen = visible(every, directions.reshape(-1, 3)).reshape(len(normals), count)
-    map_seen = visible(point, towards)
-    return exact.exit_radiance(normals, cosines, directions, seen, point, map_seen, picks)
+    map_seen = visible(drawn.point, drawn.directions)
+    return exact.exit_radiance(normals, cosines, directions, seen, drawn, map_seen)
 
 
 class Texels:
@@ -118,5 +118,5 @@ class OnTheKnot:
         found = [exit_radiance(exact, self.normals, self.seen, s, count) for s in range(seeds)]
         expected = self.expected[picture]
         square = np.mean((np.array(found) - expected) ** 2)
-        traced = len(exact.candidates(self.normals, np.arange(len(self.normals)))[0])
+        traced = len(exact.drawn(self.normals, np.arange(len(self.normals))).point)
         return float(np.sqrt(square / np.mean(expected**2))), traced / len(self.normals)

@@ -139,19 +139,17 @@ def test_the_bits_do_not_depend_on_the_batches():
     normals = unit(700)
     cosines, directions = rays_about(normals, 0, RAYS)
     picks = np.arange(700) * 31
-    point, towards = exact.candidates(normals, picks)
+    drawn = exact.drawn(normals, picks)
     random = np.random.default_rng(5)
-    seen, map_seen = random.random((700, RAYS)) < 0.5, random.random(len(point)) < 0.5
-    whole = exact.exit_radiance(normals, cosines, directions, seen, point, map_seen, picks)
+    seen, map_seen = random.random((700, RAYS)) < 0.5, random.random(len(drawn.point)) < 0.5
+    whole = exact.exit_radiance(normals, cosines, directions, seen, drawn, map_seen)
     for start, stop in ((0, 1), (1, 6), (6, 333), (333, 700)):
-        part, those = slice(start, stop), slice(*np.searchsorted(point, [start, stop]))
-        again, same = exact.candidates(normals[part], picks[part])
-        np.testing.assert_array_equal(again + start, point[those])
-        np.testing.assert_array_equal(same, towards[those])
-        found = exact.exit_radiance(
-            normals[part], cosines, directions[part], seen[part], again, map_seen[those],
-            picks[part],
-        )  # fmt: skip
+        part, those = slice(start, stop), slice(*np.searchsorted(drawn.point, [start, stop]))
+        again = exact.drawn(normals[part], picks[part])
+        np.testing.assert_array_equal(again.point + start, drawn.point[those])
+        np.testing.assert_array_equal(again.directions, drawn.directions[those])
+        its = normals[part], cosines, directions[part], seen[part]
+        found = exact.exit_radiance(*its, again, map_seen[those])
         np.testing.assert_array_equal(found, whole[part])
 
 
@@ -176,10 +174,13 @@ def test_worlds_at_the_ends_of_float32(pixels, strength):
 def test_only_directions_above_the_horizon_are_traced():
     exact = ExactLight(sky_with_sun(), np.eye(3), (1, 1, 1), 100, 0)
     normals = unit(500)
-    point, towards = exact.candidates(normals, np.arange(500))
-    assert (np.einsum("rc,rc->r", towards, normals[point]) > -1e-6).all()
-    assert (np.diff(point) >= 0).all()
-    assert 45 < len(point) / 500 < 55
+    drawn = exact.drawn(normals, np.arange(500))
+    cosines = np.einsum("rc,rc->r", drawn.directions, normals[drawn.point])
+    assert (cosines > -1e-6).all()
+    np.testing.assert_allclose(drawn.ray_cosines, cosines, atol=1e-6)
+    assert np.count_nonzero(drawn.cosines) == len(drawn.point)
+    assert (np.diff(drawn.point) >= 0).all()
+    assert 45 < len(drawn.point) / 500 < 55
 
 
 @pytest.mark.skipif(not studio_lights(), reason="needs the pictures of the bpy wheel")

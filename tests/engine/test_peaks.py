@@ -105,9 +105,9 @@ def test_nothing_is_cut_out_of_a_sky_without_peaks(pixels):
     assert cut.peak_sh.shape == (0, 25, 3)
     np.testing.assert_allclose(cut.cut_sh, lat_long.project(np.asarray(pixels), 5), atol=1e-12)
     normals, picks = unit(3), np.arange(3)
-    point, directions = cut.rays().candidates(normals, picks)
-    assert len(point) == len(directions) == 0
-    assert cut.rays().shadowed_cosine(normals, picks, np.empty(0)).shape == (3, 0)
+    drawn = cut.rays().drawn(normals, picks)
+    assert len(drawn.point) == len(drawn.directions) == 0
+    assert cut.rays().shadowed_cosine(normals, drawn, np.empty(0)).shape == (3, 0)
 
 
 def test_no_more_are_found_than_asked_for():
@@ -143,8 +143,8 @@ def test_the_cosine_of_an_open_surface_is_that_of_the_light_taken_out(cut):
     normals = np.concatenate([towards, -towards, unit(200)])
     rays = cut.rays()
     picks = np.arange(len(normals))
-    point, _ = rays.candidates(normals, picks)
-    found = rays.shadowed_cosine(normals, picks, np.ones(len(point)))
+    drawn = rays.drawn(normals, picks)
+    found = rays.shadowed_cosine(normals, drawn, np.ones(len(drawn.point)))
     directions = lat_long.directions(4 * HEIGHT, 4 * WIDTH).reshape(-1, 3)
     solid_angles = np.repeat(lat_long.row_solid_angles(4 * HEIGHT, 4 * WIDTH), 4 * WIDTH)
     for k, light in enumerate(cut.removed):
@@ -162,22 +162,22 @@ def test_a_wall_through_the_sun_hides_half_of_it(cut):
     side = np.cross(SUN, [0, 0, 1])
     normals = np.tile(SUN, (500, 1)).astype(np.float32)
     picks = np.arange(500) * 7
-    _, directions = rays.candidates(normals, picks)
-    found = rays.shadowed_cosine(normals, picks, directions @ side > 0)[:, 0]
+    drawn = rays.drawn(normals, picks)
+    found = rays.shadowed_cosine(normals, drawn, drawn.directions @ side > 0)[:, 0]
     assert found.mean() == pytest.approx(0.5, abs=0.01)
     assert found.std() < 0.06
 
 
 def test_the_bits_do_not_depend_on_the_batches(cut):
     rays, normals, picks = cut.rays(), unit(300), np.arange(300) * 13
-    point, directions = rays.candidates(normals, picks)
-    clear = directions[:, 0] > 0.1
-    whole = rays.shadowed_cosine(normals, picks, clear)
+    drawn = rays.drawn(normals, picks)
+    clear = drawn.directions[:, 0] > 0.1
+    whole = rays.shadowed_cosine(normals, drawn, clear)
     for part in (slice(0, 1), slice(1, 120), slice(120, 300)):
-        _, same = rays.candidates(normals[part], picks[part])
-        those = slice(*np.searchsorted(point, [part.start, part.stop]))
-        np.testing.assert_array_equal(same, directions[those])
-        found = rays.shadowed_cosine(normals[part], picks[part], clear[those])
+        its = rays.drawn(normals[part], picks[part])
+        those = slice(*np.searchsorted(drawn.point, [part.start, part.stop]))
+        np.testing.assert_array_equal(its.directions, drawn.directions[those])
+        found = rays.shadowed_cosine(normals[part], its, clear[those])
         np.testing.assert_array_equal(found, whole[part])
 
 

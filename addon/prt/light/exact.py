@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..slices import slices
-from .map_sampler import LUMINANCE, SETS, Blocks, Candidates, MapSampler
+from .map_sampler import LUMINANCE, Blocks, Candidates, Drawn, MapSampler
 from .open_irradiance import OpenIrradiance
 
 Array = npt.NDArray[np.float32]
@@ -105,22 +105,24 @@ class ExactLight:
         ratio = self._densities / (max(1, self.map_rays) * samples.density)
         self._values = (samples.pixels / self._unit * ratio[..., None]).astype(np.float32)
 
-    def candidates(self, normals: Array, picks: npt.NDArray[np.int64]) -> tuple[Index, Array]:
-        """The map's rays that points trace: their points (R,), rising, and directions (R, 3).
-
-        ``normals`` (P, 3) float32; ``picks`` (P,), any numbers, choose each point's set, and with
-        it whether neighbouring points make the same error.
-        """
-        return self._candidates.rays(normals, picks)
+    def drawn(self, normals: Array, picks: npt.NDArray[np.int64]) -> Drawn:
+        """The map's rays that points with ``normals`` (P, 3) float32 trace; ``picks`` (P,), any
+        numbers, choose each point's set, and with it whether neighbouring points make the same
+        error."""
+        return self._candidates.drawn(normals, picks)
 
     def open_exit_radiance(self, normals: npt.ArrayLike) -> Array:
         """Exit radiance (P, 3) of a white surface that sees the whole sky above ``normals``
         (P, 3)."""
-        n = np.asarray(normals, np.float64)
+        each = np.asarray(normals, np.float64)
+        is_new = np.ones(len(each), bool)
+        is_new[1:] = (each[1:] != each[:-1]).any(axis=1)  # on flat ground hardly any
+        n = each[is_new]
         turned = np.stack(
             [n[:, 0] * r[0] + n[:, 1] * r[1] + n[:, 2] * r[2] for r in self._rotation], axis=1
         )
-        return np.asarray(self._open(turned) * (self._strength / pi), np.float32)
+        found = np.asarray(self._open(turned) * (self._strength / pi), np.float32)
+        return found.take(np.cumsum(is_new) - 1, axis=0)
 
     def exit_radiance(  # noqa: PLR0917 - all of a trace
         self,
@@ -128,24 +130,22 @@ class ExactLight:
         cosines: Array,
         directions: Array,
         visible: npt.NDArray[Any],
-        point: Index,
+        drawn: Drawn,
         map_visible: npt.NDArray[Any],
-        picks: npt.NDArray[np.int64],
     ) -> Array:
         """Exit radiance (P, 3) of white surfaces with ``normals`` (P, 3): E / pi.
 
         ``directions`` (P, N, 3) are cosine-distributed about the normals, with ``cosines`` (N,),
-        and ``visible`` (P, N) where they reach the sky; ``point`` (R,) is what ``candidates`` gave
-        and ``map_visible`` (R,) which of those do.
+        and ``visible`` (P, N) where they reach the sky; ``map_visible`` (R,) which of the rays
+        ``drawn`` do.
         """
         out = self.open_exit_radiance(normals)
         rays = max(1, len(cosines) + self.map_rays)
+        of_map = drawn.spread(map_visible)
         for part in slices(len(normals), max(1, BATCH_RAYS // rays)):
-            first, last = np.searchsorted(point, [part.start, part.stop])
             seen, whole = self._of_cosine_rays(cosines, directions[part], visible[part])
-            map_seen, map_whole = self._of_map_rays(
-                normals[part], picks[part], map_visible[first:last], len(cosines)
-            )
+            its = drawn.cosines[part], drawn.sets[part], of_map[part]
+            map_seen, map_whole = self._of_map_rays(*its, len(cosines))
             whole += map_whole
             seen += map_seen
             out[part] *= np.divide(seen, whole, out=np.zeros_like(seen), where=whole > 0)
@@ -160,21 +160,12 @@ class ExactLight:
         return _sums(weights, found[..., :3], visible)
 
     def _of_map_rays(
-        self,
-        normals: Array,
-        picks: npt.NDArray[np.int64],
-        map_visible: npt.NDArray[Any],
-        cosine_rays: int,
+        self, cosines: Array, sets: Index, visible: Array, cosine_rays: int
     ) -> tuple[Array, Array]:
         """The sums (P, 3) over the map's rays, and as if all of them were visible."""
-        cosines = self._candidates.cosines(normals, picks)
-        visible = np.zeros(cosines.shape, np.float32)
-        visible[cosines > 0] = map_visible
-        np.maximum(cosines, 0, out=cosines)
-        chosen = picks % SETS
-        densities = self._densities.take(chosen, axis=0)
+        densities = self._densities.take(sets, axis=0)
         weights = cosines / (cosines * np.float32(cosine_rays / pi) + densities)
-        return _sums(weights, self._values.take(chosen, axis=0), visible)
+        return _sums(weights, self._values.take(sets, axis=0), visible)
 
 
 def _sums(weights: Array, values: Array, visible: npt.NDArray[Any]) -> tuple[Array, Array]:

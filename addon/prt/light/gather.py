@@ -11,6 +11,7 @@ from ..tracing.gathering import Batch
 from ..tracing.rays import Occlusion, as_visible
 from ..tracing.transfer import MAP_RAYS, NOTHING_ABOVE, Counts
 from .exact import ExactLight
+from .map_sampler import Drawn
 from .peaks import PeakRays
 
 Array = npt.NDArray[np.float32]
@@ -36,25 +37,14 @@ class LightGather:
         counts: Counts = Counter()
         found = []
         for k, light in enumerate(self._lights):
-            picks = self._picks(batch.numbers, k)
-            point, directions = light.candidates(batch.normals, picks)
-            visible = _sees(batch, point, directions, occlusion, counts)
-            found.append(
-                light.exit_radiance(
-                    batch.normals,
-                    batch.cosines,
-                    batch.directions,
-                    batch.visible,
-                    point,
-                    visible,
-                    picks,
-                )
-            )
+            drawn = light.drawn(batch.normals, self._picks(batch.numbers, k))
+            visible = _sees(batch, drawn, occlusion, counts)
+            its = batch.normals, batch.cosines, batch.directions, batch.visible
+            found.append(light.exit_radiance(*its, drawn, visible))
         if self._peaks is not None and self._peaks.peaks:
-            picks = self._picks(batch.numbers, len(self._lights))
-            point, directions = self._peaks.candidates(batch.normals, picks)
-            visible = _sees(batch, point, directions, occlusion, counts)
-            found.append(self._peaks.shadowed_cosine(batch.normals, picks, visible))
+            drawn = self._peaks.drawn(batch.normals, self._picks(batch.numbers, len(self._lights)))
+            visible = _sees(batch, drawn, occlusion, counts)
+            found.append(self._peaks.shadowed_cosine(batch.normals, drawn, visible))
         return np.concatenate(found, axis=1), counts
 
     def _picks(self, numbers: Index, k: int) -> Index:
@@ -63,25 +53,20 @@ class LightGather:
         return (mixed >> np.uint64(33)).astype(np.int64)
 
 
-def _sees(
-    batch: Batch,
-    point: npt.NDArray[np.int32],
-    directions: Array,
-    occlusion: Occlusion,
-    counts: Counts,
-) -> Array:
-    """Which of ``directions`` (R, 3) from the batch's points ``point`` (R,) reach the sky, 1 or
-    0."""
+def _sees(batch: Batch, drawn: Drawn, occlusion: Occlusion, counts: Counts) -> Array:
+    """Which of the rays ``drawn`` (R,) for the batch's points reach the sky, 1 or 0."""
+    point, directions = drawn.point, drawn.directions
     visible = np.ones(len(point), np.float32)
-    traced = np.arange(len(point))
+    traced: Index | slice = slice(None)
     if batch.open_above <= 1:
-        cosine = np.einsum("rc,rc->r", directions, batch.normals[point])
-        traced = np.flatnonzero(cosine <= batch.open_above)
+        traced = np.flatnonzero(drawn.ray_cosines <= batch.open_above)
         counts[NOTHING_ABOVE] += len(point) - len(traced)
-    origins = batch.origins[point[traced]]
-    if len(origins):
-        visible[traced] = as_visible(occlusion.sky_mask(origins, directions[traced]))
-        again = np.flatnonzero(batch.doubtful[point] & (visible > 0))
-        visible[again] = confirmed(occlusion, batch.origins[point[again]], directions[again])
-        counts[MAP_RAYS] += len(origins) + CASTS * len(again)
+        point, directions = point.take(traced), directions.take(traced, axis=0)
+    if len(point):
+        origins = batch.origins.take(point, axis=0)
+        visible[traced] = as_visible(occlusion.sky_mask(origins, directions))
+        again = np.flatnonzero(batch.doubtful.take(drawn.point) & (visible > 0))
+        starts = batch.origins.take(drawn.point.take(again), axis=0)
+        visible[again] = confirmed(occlusion, starts, drawn.directions.take(again, axis=0))
+        counts[MAP_RAYS] += len(point) + CASTS * len(again)
     return visible

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, pi, sqrt
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -219,27 +220,50 @@ class MapSampler:
         return np.stack([sine * np.cos(phi), sine * np.sin(phi), z], axis=1)
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """Rays of the map that P points trace: the ``sets`` (P,) that they took, the ``cosines`` (P, N)
+    of all of a set's directions to the point's normal, 0 below its horizon; and of the R rays above
+    it, point by point, the places among these (R,), the ``point`` (R,) and the ``directions``
+    (R, 3)."""
+
+    sets: Index
+    cosines: Array
+    places: Index
+    point: Index
+    directions: Array
+
+    @property
+    def ray_cosines(self) -> Array:
+        """Those of the rays (R,)."""
+        return self.cosines.reshape(-1).take(self.places)
+
+    def spread(self, visible: npt.NDArray[Any]) -> Array:
+        """``visible`` (R,) of the rays as (P, N), 0 below the horizon."""
+        found = np.zeros(self.cosines.shape, np.float32)
+        found.reshape(-1)[self.places] = visible
+        return found
+
+
 class Candidates:
     """Sets of ``directions`` (SETS, N, 3), of which each point takes one: those above its horizon
     are its rays."""
 
     def __init__(self, directions: npt.NDArray[np.float32]) -> None:
-        self.count = directions.shape[1]
         self._directions = np.ascontiguousarray(directions).reshape(-1, 3)
         self._planes = np.ascontiguousarray(np.moveaxis(directions, 2, 0))
 
-    def cosines(self, normals: Array, picks: Index) -> Array:
-        """Cosines (P, N) to ``normals`` (P, 3) of the sets ``picks`` (P,), any numbers: the same
-        bits however points are batched."""
-        chosen = picks % SETS
-        cosines: Array = self._planes[0].take(chosen, axis=0) * normals[:, 0, None]
-        cosines += self._planes[1].take(chosen, axis=0) * normals[:, 1, None]
-        cosines += self._planes[2].take(chosen, axis=0) * normals[:, 2, None]
-        return cosines
-
-    def rays(self, normals: Array, picks: Index) -> tuple[npt.NDArray[np.int32], Array]:
-        """The points (R,), rising, and the directions (R, 3) of all rays above the horizon."""
-        above = np.flatnonzero(self.cosines(normals, picks) > 0)
-        point, place = np.divmod(above, self.count) if self.count else (above, above)
-        found = self._directions.take((picks % SETS)[point] * self.count + place, axis=0)
-        return point.astype(np.int32), found
+    def drawn(self, normals: Array, picks: Index) -> Drawn:
+        """The rays of points with ``normals`` (P, 3) and the sets ``picks`` (P,), any numbers: the
+        same bits however points are batched."""
+        sets = picks % SETS
+        cosines: Array = self._planes[0].take(sets, axis=0) * normals[:, 0, None]
+        cosines += self._planes[1].take(sets, axis=0) * normals[:, 1, None]
+        cosines += self._planes[2].take(sets, axis=0) * normals[:, 2, None]
+        above = cosines > 0
+        places, of_each = np.flatnonzero(above), np.count_nonzero(above, axis=1)
+        np.maximum(cosines, 0, out=cosines)
+        numbers = np.arange(len(sets))
+        ahead = (sets - numbers) * cosines.shape[1]  # of its own place is its set's
+        directions = self._directions.take(places + np.repeat(ahead, of_each), axis=0)
+        return Drawn(sets, cosines, places, np.repeat(numbers, of_each), directions)

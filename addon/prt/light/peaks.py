@@ -16,7 +16,7 @@ import numpy.typing as npt
 from .. import sh
 from ..job import LIGHT_ORDER, Peak
 from . import lat_long
-from .map_sampler import LUMINANCE, SETS, Blocks, Candidates, MapSampler
+from .map_sampler import LUMINANCE, SETS, Blocks, Candidates, Drawn, MapSampler
 
 Array = npt.NDArray[np.float32]
 Float = npt.NDArray[np.float64]
@@ -244,10 +244,10 @@ class PeakRays:
         facing = [g.sum(axis=0) @ p.direction for g, p in zip(groups, cut.peaks, strict=True)]
         self._groups = [g / f for g, f in zip(groups, facing, strict=True)]
 
-    def candidates(self, normals: Array, picks: Index) -> tuple[npt.NDArray[np.int32], Array]:
-        """The rays that points with ``normals`` (P, 3) trace: their points (R,), rising, and
-        directions (R, 3); ``picks`` (P,), any numbers, choose each point's set."""
-        return self._candidates.rays(normals, picks)
+    def drawn(self, normals: Array, picks: Index) -> Drawn:
+        """The rays that points with ``normals`` (P, 3) trace; ``picks`` (P,), any numbers, choose
+        each point's set."""
+        return self._candidates.drawn(normals, picks)
 
     def open_cosine(self, normals: Array) -> Array:
         """``shadowed_cosine`` where nothing is in the way."""
@@ -260,16 +260,12 @@ class PeakRays:
         return total.astype(np.float32)
 
     def shadowed_cosine(
-        self, normals: Array, picks: Index, visible: npt.NDArray[np.generic]
+        self, normals: Array, drawn: Drawn, visible: npt.NDArray[np.generic]
     ) -> Array:
         """Irradiance (P, peaks) by each peak over that of an open surface that faces it, weighted
-        by luminance; ``visible`` (R,) says which of the candidates reach the sky."""
-        cosines = self._candidates.cosines(normals, picks)
-        seen = np.zeros(cosines.shape, np.float32)
-        seen[cosines > 0] = visible
-        np.maximum(cosines, 0, out=cosines)
-        shape = (len(cosines), self.peaks, self._count)
-        whole = cosines.reshape(shape).sum(axis=2)
-        part = (cosines * seen).reshape(shape).sum(axis=2)
+        by luminance; ``visible`` (R,) says which of the rays ``drawn`` reach the sky."""
+        shape = (len(normals), self.peaks, self._count)
+        whole = drawn.cosines.reshape(shape).sum(axis=2)
+        part = (drawn.cosines * drawn.spread(visible)).reshape(shape).sum(axis=2)
         share = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0)
         return np.asarray(share * self.open_cosine(normals))
