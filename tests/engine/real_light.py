@@ -32,11 +32,11 @@ def small(file):
 
 
 def rays_about(normals, seed, count):
-    """Cosines (N,) and directions (P, N, 3) of the transfer's own rays."""
+    """Cosines (N,) and directions (P, 3, N) of the transfer's own rays."""
     local = hemisphere.cosine_fibonacci(count).astype(np.float32)
     azimuth = np.random.default_rng([seed, 1]).random(len(normals)) * 2 * pi
     turned = hemisphere.frames(normals, azimuth).matrices()
-    return np.ascontiguousarray(local[:, 2]), np.einsum("pij,nj->pni", turned, local)
+    return np.ascontiguousarray(local[:, 2]), np.einsum("pij,nj->pin", turned, local)
 
 
 def exit_radiance(exact, normals, visible, seed=0, count=64):
@@ -45,7 +45,8 @@ def exit_radiance(exact, normals, visible, seed=0, count=64):
     picks = np.random.default_rng([seed, 2]).integers(0, 1 << 40, len(normals))
     drawn = exact.drawn(normals, picks)
     every = np.repeat(np.arange(len(normals)), count)
-    seen = visible(every, directions.reshape(-1, 3)).reshape(len(normals), count)
+    in_rows = np.moveaxis(directions, 1, 2).reshape(-1, 3)
+    seen = visible(every, in_rows).reshape(len(normals), count)
     map_seen = visible(drawn.point, drawn.directions)
     return exact.exit_radiance(normals, cosines, directions, seen, drawn, map_seen)
 

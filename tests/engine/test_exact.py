@@ -39,7 +39,7 @@ def irradiance(pixels, normals, seen=None):
 
 
 def test_cells_are_equal_patches_that_hold_their_directions():
-    found = cells(unit(2_000_000))
+    found = cells(*unit(2_000_000).T)
     assert found.min() >= 0
     assert found.max() < 2 * CELLS * CELLS
     counts = np.bincount(found, minlength=2 * CELLS * CELLS)

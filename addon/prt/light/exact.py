@@ -31,19 +31,18 @@ CELLS = 64  # across a disc
 HALF = np.float32(0.5 * CELLS)
 INSIDE = np.float32(0.49999 * CELLS)  # so that rounding stays within a disc's cells
 TABLE_ROWS = 512  # of places that a map is averaged from
-BATCH_RAYS = 32768  # whose arrays stay in the cache
+BATCH_RAYS = 65536  # whose arrays stay in the cache
 
 
-def cells(directions: Array) -> npt.NDArray[np.int32]:
-    """The cells (...) of unit world directions (..., 3) float32."""
-    z = directions[..., 2]
+def cells(x: Array, y: Array, z: Array) -> npt.NDArray[np.int32]:
+    """The cells (...) of unit world directions with such coordinates (...) float32."""
     scale = np.abs(z)
     scale += np.float32(1)
     np.sqrt(scale, out=scale)
     np.divide(INSIDE, scale, out=scale)
-    found = (directions[..., 0] * scale + HALF).astype(np.int32)
+    found = (x * scale + HALF).astype(np.int32)
     found *= CELLS
-    found += (directions[..., 1] * scale + HALF).astype(np.int32)
+    found += (y * scale + HALF).astype(np.int32)
     found += (z < 0) * np.int32(CELLS * CELLS)
     return found
 
@@ -101,7 +100,7 @@ class ExactLight:
         directions = (samples.directions @ rotation).astype(np.float32)
         self._candidates = Candidates(directions)
         # density of the cells, by which the weights go, over the one that drew the sample
-        self._densities = self._table[cells(directions), 3]
+        self._densities = self._table[cells(*np.moveaxis(directions, -1, 0)), 3]
         ratio = self._densities / (max(1, self.map_rays) * samples.density)
         self._values = (samples.pixels / self._unit * ratio[..., None]).astype(np.float32)
 
@@ -135,7 +134,7 @@ class ExactLight:
     ) -> Array:
         """Exit radiance (P, 3) of white surfaces with ``normals`` (P, 3): E / pi.
 
-        ``directions`` (P, N, 3) are cosine-distributed about the normals, with ``cosines`` (N,),
+        ``directions`` (P, 3, N) are cosine-distributed about the normals, with ``cosines`` (N,),
         and ``visible`` (P, N) where they reach the sky; ``map_visible`` (R,) which of the rays
         ``drawn`` do.
         """
@@ -155,7 +154,7 @@ class ExactLight:
         self, cosines: Array, directions: Array, visible: npt.NDArray[Any]
     ) -> tuple[Array, Array]:
         """The sums (P, 3) over the transfer's own rays, and as if all of them were visible."""
-        found = self._table.take(cells(directions), axis=0)
+        found = self._table.take(cells(*np.moveaxis(directions, 1, 0)), axis=0)
         weights = cosines / (cosines * np.float32(len(cosines) / pi) + found[..., 3])
         return _sums(weights, found[..., :3], visible)
 
@@ -182,7 +181,7 @@ def _mean_radiance(blocks: Blocks, rotation: Float) -> Float:
     """Mean pixels (2 CELLS², 3) of the cells in world axes, of a map that ``rotation`` turns."""
     sums = np.zeros((4, 2 * CELLS * CELLS))
     for directions, weights in blocks.places(TABLE_ROWS):
-        found = cells((directions @ rotation).astype(np.float32))
+        found = cells(*(directions @ rotation).T.astype(np.float32))
         for c in range(4):
             sums[c] += np.bincount(found, weights[:, c], len(sums[c]))
     empty = np.flatnonzero(sums[3] == 0)

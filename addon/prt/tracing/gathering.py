@@ -16,7 +16,7 @@ Index = npt.NDArray[np.int64]
 @dataclass(frozen=True)
 class Batch:
     """Rays of P points, as a ``Gather`` reads them: the points' ``numbers`` (P,), ``origins`` and
-    ``normals`` (P, 3), the world ``directions`` (P, N, 3) of their rays, whose cosines to the
+    ``normals`` (P, 3), the world ``directions`` (P, 3, N) of their rays, whose cosines to the
     normal are the same for all, (N,), and which reach the sky, ``visible`` (P, N), 1 or 0.
     Directions with a cosine above ``open_above`` reach the sky, traced or not.  A clear ray of the
     points ``doubtful`` (P,) is to be confirmed."""

@@ -106,28 +106,36 @@ class RaysInWorld:
         for c in range(3):
             arranged[c, :, :, c] = directions.T
         self._arranged = arranged.reshape(9, 3 * count)
+        self._columns = np.ascontiguousarray(directions.T)
         self._repeat = np.tile(np.eye(3, dtype=np.float32), count)
 
     def directions(self, matrices: Array, out: Array, first: int = 0) -> None:
-        """Directions of frames (P, 3, 3) into ``out`` (P * N, 3), without the ``first`` of each.
-
-        Products of one shape, so that a point's directions are the same bits in any company.
-        """
-        rows = matrices.reshape(-1, 9)
+        """Directions of frames (P, 3, 3) into ``out`` (P * N, 3), without the ``first`` of each."""
         arranged = self._arranged[:, 3 * first :]
-        values = out.reshape(len(rows), arranged.shape[1])
-        whole = len(rows) // GROUP * GROUP
-        by_group = rows[:whole].reshape(-1, GROUP, 9)
-        np.matmul(by_group, arranged, out=values[:whole].reshape(-1, GROUP, arranged.shape[1]))
-        if whole < len(rows):
-            last = np.zeros((GROUP, 9), np.float32)
-            last[: len(rows) - whole] = rows[whole:]
-            values[whole:] = (last @ arranged)[: len(rows) - whole]
+        _in_groups(matrices.reshape(-1, 9), arranged, out.reshape(-1, arranged.shape[1]), GROUP)
+
+    def planes(self, matrices: Array, out: Array) -> None:
+        """Directions of frames (P, 3, 3) into ``out`` (P, 3, N), axis by axis as numpy reads
+        them."""
+        rows, values = matrices.reshape(-1, 3), out.reshape(-1, self.count)
+        _in_groups(rows, self._columns, values, 3 * GROUP)
 
     def origins(self, origins: Array, out: Array, first: int = 0) -> None:
         """``origins`` (P, 3), each N times less ``first``, into ``out`` (P * N, 3)."""
         repeat = self._repeat[:, 3 * first :]
         np.matmul(origins, repeat, out=out.reshape(len(origins), repeat.shape[1]))
+
+
+def _in_groups(rows: Array, table: Array, out: Array, size: int) -> None:
+    """``rows`` (R, K) times ``table`` (K, C) into ``out`` (R, C): products of ``size`` rows each,
+    so that a point's directions are the same bits in any company."""
+    whole = len(rows) // size * size
+    by_group = rows[:whole].reshape(-1, size, rows.shape[1])
+    np.matmul(by_group, table, out=out[:whole].reshape(-1, size, table.shape[1]))
+    if whole < len(rows):
+        last = np.zeros((size, rows.shape[1]), np.float32)
+        last[: len(rows) - whole] = rows[whole:]
+        out[whole:] = (last @ table)[: len(rows) - whole]
 
 
 @lru_cache(maxsize=4)  # as of the sets

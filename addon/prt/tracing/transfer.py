@@ -203,13 +203,14 @@ class Tracer:
 
     def _seen(self, batch: _Few, visible: Array) -> Batch:
         """What a Gather is told."""
-        directions, first = self._array("gathered", (visible.size, 3)), batch.open.first
-        self._in_world.directions(batch.matrices, directions)
+        count, first = len(visible), batch.open.first
+        directions = self._array("gathered", (count, 3 * self.rays)).reshape(count, 3, self.rays)
+        self._in_world.planes(batch.matrices, directions)
         return Batch(
             batch.numbers,
             batch.origins,
             self.points.normals[batch.numbers],
-            directions.reshape(-1, self.rays, 3),
+            directions,
             self._cosines,
             visible,
             float(np.sqrt(1 - first / self.rays)) if first else 2.0,
