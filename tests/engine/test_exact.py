@@ -171,16 +171,22 @@ def test_worlds_at_the_ends_of_float32(pixels, strength):
     assert (found.max() > 0) == (pixels.max() > 0 and max(strength) > 0)
 
 
-def test_only_directions_above_the_horizon_are_traced():
+def test_only_directions_above_the_horizon_that_may_be_blocked_are_traced():
     exact = ExactLight(sky_with_sun(), np.eye(3), (1, 1, 1), 100, 0)
     normals = unit(500)
     drawn = exact.drawn(normals, np.arange(500))
     cosines = np.einsum("rc,rc->r", drawn.directions, normals[drawn.point])
-    assert (cosines > -1e-6).all()
-    np.testing.assert_allclose(drawn.ray_cosines, cosines, atol=1e-6)
+    np.testing.assert_allclose(drawn.cosines.reshape(-1)[drawn.places], cosines, atol=1e-6)
     assert np.count_nonzero(drawn.cosines) == len(drawn.point)
     assert (np.diff(drawn.point) >= 0).all()
     assert 45 < len(drawn.point) / 500 < 55
+    low = exact.drawn(normals, np.arange(500), open_above=0.25)
+    np.testing.assert_array_equal(
+        low.places, drawn.places[drawn.cosines[drawn.cosines > 0] <= 0.25]
+    )
+    assert low.open == len(drawn.point) - len(low.point) > 0
+    spread = low.spread(np.zeros(len(low.point)))
+    np.testing.assert_array_equal(spread, drawn.cosines > 0.25)
 
 
 @pytest.mark.skipif(not studio_lights(), reason="needs the pictures of the bpy wheel")

@@ -104,11 +104,11 @@ class ExactLight:
         ratio = self._densities / (max(1, self.map_rays) * samples.density)
         self._values = (samples.pixels / self._unit * ratio[..., None]).astype(np.float32)
 
-    def drawn(self, normals: Array, picks: npt.NDArray[np.int64]) -> Drawn:
-        """The map's rays that points with ``normals`` (P, 3) float32 trace; ``picks`` (P,), any
-        numbers, choose each point's set, and with it whether neighbouring points make the same
-        error."""
-        return self._candidates.drawn(normals, picks)
+    def drawn(self, normals: Array, picks: npt.NDArray[np.int64], open_above: float = 2.0) -> Drawn:
+        """The map's rays that points with ``normals`` (P, 3) float32 trace, whose directions with a
+        cosine above ``open_above`` reach the sky; ``picks`` (P,), any numbers, choose each point's
+        set, and with it whether neighbouring points make the same error."""
+        return self._candidates.drawn(normals, picks, open_above)
 
     def open_exit_radiance(self, normals: npt.ArrayLike) -> Array:
         """Exit radiance (P, 3) of a white surface that sees the whole sky above ``normals``

@@ -37,12 +37,14 @@ class LightGather:
         counts: Counts = Counter()
         found = []
         for k, light in enumerate(self._lights):
-            drawn = light.drawn(batch.normals, self._picks(batch.numbers, k))
+            picks = self._picks(batch.numbers, k)
+            drawn = light.drawn(batch.normals, picks, batch.open_above)
             visible = _sees(batch, drawn, occlusion, counts)
             its = batch.normals, batch.cosines, batch.directions, batch.visible
             found.append(light.exit_radiance(*its, drawn, visible))
         if self._peaks is not None and self._peaks.peaks:
-            drawn = self._peaks.drawn(batch.normals, self._picks(batch.numbers, len(self._lights)))
+            picks = self._picks(batch.numbers, len(self._lights))
+            drawn = self._peaks.drawn(batch.normals, picks, batch.open_above)
             visible = _sees(batch, drawn, occlusion, counts)
             found.append(self._peaks.shadowed_cosine(batch.normals, drawn, visible))
         return np.concatenate(found, axis=1), counts
@@ -55,18 +57,13 @@ class LightGather:
 
 def _sees(batch: Batch, drawn: Drawn, occlusion: Occlusion, counts: Counts) -> Array:
     """Which of the rays ``drawn`` (R,) for the batch's points reach the sky, 1 or 0."""
-    point, directions = drawn.point, drawn.directions
-    visible = np.ones(len(point), np.float32)
-    traced: Index | slice = slice(None)
-    if batch.open_above <= 1:
-        traced = np.flatnonzero(drawn.ray_cosines <= batch.open_above)
-        counts[NOTHING_ABOVE] += len(point) - len(traced)
-        point, directions = point.take(traced), directions.take(traced, axis=0)
-    if len(point):
-        origins = batch.origins.take(point, axis=0)
-        visible[traced] = as_visible(occlusion.sky_mask(origins, directions))
-        again = np.flatnonzero(batch.doubtful.take(drawn.point) & (visible > 0))
-        starts = batch.origins.take(drawn.point.take(again), axis=0)
-        visible[again] = confirmed(occlusion, starts, drawn.directions.take(again, axis=0))
-        counts[MAP_RAYS] += len(point) + CASTS * len(again)
+    counts[NOTHING_ABOVE] += drawn.open
+    if not len(drawn.point):
+        return np.zeros(0, np.float32)
+    origins = batch.origins.take(drawn.point, axis=0)
+    visible = as_visible(occlusion.sky_mask(origins, drawn.directions))
+    again = np.flatnonzero(batch.doubtful.take(drawn.point) & (visible > 0))
+    starts, directions = origins.take(again, axis=0), drawn.directions.take(again, axis=0)
+    visible[again] = confirmed(occlusion, starts, directions)
+    counts[MAP_RAYS] += len(origins) + CASTS * len(again)
     return visible

@@ -223,24 +223,26 @@ class MapSampler:
 @dataclass(frozen=True)
 class Drawn:
     """Rays of the map that P points trace: the ``sets`` (P,) that they took, the ``cosines`` (P, N)
-    of all of a set's directions to the point's normal, 0 below its horizon; and of the R rays above
-    it, point by point, the places among these (R,), the ``point`` (R,) and the ``directions``
-    (R, 3)."""
+    of all of a set's directions to the point's normal, 0 below its horizon; those beyond
+    ``open_above`` reach the sky.  Of the R others above the horizon, point by point, their places
+    among these (R,), the ``point`` (R,) and the ``directions`` (R, 3)."""
 
     sets: Index
     cosines: Array
+    open_above: float
     places: Index
     point: Index
     directions: Array
 
     @property
-    def ray_cosines(self) -> Array:
-        """Those of the rays (R,)."""
-        return self.cosines.reshape(-1).take(self.places)
+    def open(self) -> int:
+        """How many directions are known to reach the sky."""
+        return int(np.count_nonzero(self.cosines > self.open_above))
 
     def spread(self, visible: npt.NDArray[Any]) -> Array:
-        """``visible`` (R,) of the rays as (P, N), 0 below the horizon."""
-        found = np.zeros(self.cosines.shape, np.float32)
+        """Of all directions (P, N) which reach the sky, 1 or 0, as ``visible`` (R,) says it of the
+        rays; 0 below the horizon."""
+        found = (self.cosines > self.open_above).astype(np.float32)
         found.reshape(-1)[self.places] = visible
         return found
 
@@ -253,17 +255,21 @@ class Candidates:
         self._directions = np.ascontiguousarray(directions).reshape(-1, 3)
         self._planes = np.ascontiguousarray(np.moveaxis(directions, 2, 0))
 
-    def drawn(self, normals: Array, picks: Index) -> Drawn:
-        """The rays of points with ``normals`` (P, 3) and the sets ``picks`` (P,), any numbers: the
-        same bits however points are batched."""
+    def drawn(self, normals: Array, picks: Index, open_above: float) -> Drawn:
+        """The rays of points with ``normals`` (P, 3) and the sets ``picks`` (P,), any numbers, but
+        those that reach the sky because their cosine is beyond ``open_above``: the same bits
+        however points are batched."""
         sets = picks % SETS
         cosines: Array = self._planes[0].take(sets, axis=0) * normals[:, 0, None]
         cosines += self._planes[1].take(sets, axis=0) * normals[:, 1, None]
         cosines += self._planes[2].take(sets, axis=0) * normals[:, 2, None]
-        above = cosines > 0
-        places, of_each = np.flatnonzero(above), np.count_nonzero(above, axis=1)
         np.maximum(cosines, 0, out=cosines)
+        is_ray = cosines > 0
+        if open_above <= 1:
+            is_ray &= cosines <= open_above
+        places, of_each = np.flatnonzero(is_ray), np.count_nonzero(is_ray, axis=1)
         numbers = np.arange(len(sets))
         ahead = (sets - numbers) * cosines.shape[1]  # of its own place is its set's
         directions = self._directions.take(places + np.repeat(ahead, of_each), axis=0)
-        return Drawn(sets, cosines, places, np.repeat(numbers, of_each), directions)
+        point = np.repeat(numbers, of_each)
+        return Drawn(sets, cosines, open_above, places, point, directions)

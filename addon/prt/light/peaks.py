@@ -244,10 +244,10 @@ class PeakRays:
         facing = [g.sum(axis=0) @ p.direction for g, p in zip(groups, cut.peaks, strict=True)]
         self._groups = [g / f for g, f in zip(groups, facing, strict=True)]
 
-    def drawn(self, normals: Array, picks: Index) -> Drawn:
-        """The rays that points with ``normals`` (P, 3) trace; ``picks`` (P,), any numbers, choose
-        each point's set."""
-        return self._candidates.drawn(normals, picks)
+    def drawn(self, normals: Array, picks: Index, open_above: float = 2.0) -> Drawn:
+        """The rays that points with ``normals`` (P, 3) trace, whose directions with a cosine above
+        ``open_above`` reach the sky; ``picks`` (P,), any numbers, choose each point's set."""
+        return self._candidates.drawn(normals, picks, open_above)
 
     def open_cosine(self, normals: Array) -> Array:
         """``shadowed_cosine`` where nothing is in the way."""
