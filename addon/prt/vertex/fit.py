@@ -146,36 +146,38 @@ class Fit:
         kept, tests = samples[~out], samples[out]
         data, right, values = self._sides(kept)
         jumps = jump_form(self._mesh, np.ones(len(self._mesh.hinges)))
-        found = []
+        found, squares = list[Array](), list[Float]()
         for weight in weights:  # each starts from the last one's values
             self._system.set(data, jumps.times(weight))
             values = self._system.solve(right, values, JUDGED)
             found.append(values)
-        chosen, missed = self._best(tests, found, doubting=True)
+            squares.append(self._missed(tests, values))
+            chosen, missed = self._best(tests, squares, doubting=True)
+            if (chosen < len(squares) - 1).all():  # the smaller ones would miss more still
+                break
         first = second = np.array(weights)[chosen]
         if stiffer:
             values = np.choose(chosen[self._parts][:, None], found)
-            stiffness, found = self._stiffness(values), []
+            stiffness, squares = self._stiffness(values), []
             for times in stiffer:
                 self._hold(data, times * self._of_parts(first) * stiffness)
                 values = self._system.solve(right, values, JUDGED)
-                found.append(values)
-            chosen, missed = self._best(tests, found)
+                squares.append(self._missed(tests, values))
+            chosen, missed = self._best(tests, squares)
             second = first * np.array(stiffer)[chosen]
         return np.stack([first, second], axis=1), missed
 
     def _best(
-        self, tests: Samples, found: list[Array], doubting: bool = False
+        self, tests: Samples, squares: list[Float], doubting: bool = False
     ) -> tuple[Index, Float]:
-        """Which of the values ``found``, (P, K) each, misses the least of ``tests`` in each part
-        (count,), the last that does as far as these can tell where one is ``doubting``; and the
-        mean square that it misses."""
-        squares = np.stack([self._missed(tests, values) for values in found])
+        """Which of some fits, of what they miss of ``tests`` the ``squares``, (S,) each, misses the
+        least in each part (count,), the last that does as far as these can tell where one is
+        ``doubting``; and the mean square that it misses."""
         totals = np.array([self._sums(row, tests) for row in squares])
         best = np.argmin(totals, axis=0)
-        least = squares[best[tests.parts], np.arange(len(tests.areas))]
+        least = np.stack(squares)[best[tests.parts], np.arange(len(tests.areas))]
         chosen = best.copy()
-        for i, row in enumerate(squares if doubting else squares[:0]):
+        for i, row in enumerate(squares if doubting else ()):
             doubt = np.sqrt(self._sums((row - least) ** 2, tests))  # of the difference
             near = totals[i] - self._sums(least, tests) <= doubt
             chosen = np.where((i > best) & near, i, chosen)
