@@ -86,13 +86,6 @@ def direct_path(path: Path) -> Path:
     return _direct(path)
 
 
-def outdated(targets: Sequence[Path]) -> list[Path]:
-    """What earlier bakes left without light that bounced beside atlases of theirs that ``targets``
-    are written over."""
-    beside = {_direct(path) for path in targets} - set(targets)
-    return sorted(path for path in beside if _is_ours(path))
-
-
 def beside(path: Path, source: Path, files: Sequence[Path]) -> list[Path]:
     """Where the images for engines ``files`` of the atlas ``source`` go, if that goes to ``path``;
     BakeError where one of these names is taken by a file of the artist's."""
@@ -104,14 +97,14 @@ def beside(path: Path, source: Path, files: Sequence[Path]) -> list[Path]:
 
 @contextmanager
 def placed(sources: Sequence[Path], targets: Sequence[Path]) -> Iterator[None]:
-    """``sources`` have been copied to ``targets`` inside, and what these make ``outdated`` is gone;
+    """``sources`` have been copied to ``targets`` inside, and what these outdate is gone;
     on an error there all is as it was.  BakeError where there is no room or no right to."""
     moved: list[tuple[Path, Path]] = []
     try:
         with outputs.staged(list(targets)) as places:
             for source, target in zip(sources, targets, strict=True):
                 shutil.copyfile(source, places[target])
-            for target in [*targets, *outdated(targets)]:
+            for target in [*targets, *_outdated(targets)]:
                 if target.exists():
                     kept = target.with_name(f".prt-{secrets.token_hex(4)}{target.suffix}")
                     target.rename(kept)
@@ -146,6 +139,13 @@ def _shown() -> Iterator[tuple[bpy.types.Object, Path]]:
 
 def _direct(path: Path) -> Path:
     return path.with_name(f"{path.stem}_direct{path.suffix}")
+
+
+def _outdated(targets: Sequence[Path]) -> list[Path]:
+    """What earlier bakes left without light that bounced beside atlases of theirs that ``targets``
+    are written over."""
+    beside = {_direct(path) for path in targets} - set(targets)
+    return sorted(path for path in beside if _is_ours(path))
 
 
 def _check_ours(path: Path) -> None:

@@ -57,7 +57,7 @@ class LightGather:
 
 def _sees(batch: Batch, drawn: Drawn, occlusion: Occlusion, counts: Counts) -> Array:
     """Which of the rays ``drawn`` (R,) for the batch's points reach the sky, 1 or 0."""
-    counts[NOTHING_ABOVE] += drawn.open
+    counts[NOTHING_ABOVE] += int(np.count_nonzero(drawn.is_open))
     if not len(drawn.point):
         return np.zeros(0, np.float32)
     origins = batch.origins.take(drawn.point, axis=0)

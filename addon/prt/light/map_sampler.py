@@ -223,26 +223,21 @@ class MapSampler:
 @dataclass(frozen=True)
 class Drawn:
     """Rays of the map that P points trace: the ``sets`` (P,) that they took, the ``cosines`` (P, N)
-    of all of a set's directions to the point's normal, 0 below its horizon; those beyond
-    ``open_above`` reach the sky.  Of the R others above the horizon, point by point, their places
-    among these (R,), the ``point`` (R,) and the ``directions`` (R, 3)."""
+    of all of a set's directions to the point's normal, 0 below its horizon, and which of them are
+    known to reach the sky, ``is_open`` (P, N).  Of the R others above the horizon, point by point,
+    their ``places`` (R,) among all, the ``point`` (R,) and the ``directions`` (R, 3)."""
 
     sets: Index
     cosines: Array
-    open_above: float
+    is_open: npt.NDArray[np.bool_]
     places: Index
     point: Index
     directions: Array
 
-    @property
-    def open(self) -> int:
-        """How many directions are known to reach the sky."""
-        return int(np.count_nonzero(self.cosines > self.open_above))
-
     def spread(self, visible: npt.NDArray[Any]) -> Array:
         """Of all directions (P, N) which reach the sky, 1 or 0, as ``visible`` (R,) says it of the
         rays; 0 below the horizon."""
-        found = (self.cosines > self.open_above).astype(np.float32)
+        found = self.is_open.astype(np.float32)
         found.reshape(-1)[self.places] = visible
         return found
 
@@ -264,12 +259,11 @@ class Candidates:
         cosines += self._planes[1].take(sets, axis=0) * normals[:, 1, None]
         cosines += self._planes[2].take(sets, axis=0) * normals[:, 2, None]
         np.maximum(cosines, 0, out=cosines)
-        is_ray = cosines > 0
-        if open_above <= 1:
-            is_ray &= cosines <= open_above
+        is_open = cosines > open_above
+        is_ray = (cosines > 0) & ~is_open
         places, of_each = np.flatnonzero(is_ray), np.count_nonzero(is_ray, axis=1)
         numbers = np.arange(len(sets))
         ahead = (sets - numbers) * cosines.shape[1]  # of its own place is its set's
         directions = self._directions.take(places + np.repeat(ahead, of_each), axis=0)
         point = np.repeat(numbers, of_each)
-        return Drawn(sets, cosines, open_above, places, point, directions)
+        return Drawn(sets, cosines, is_open, places, point, directions)

@@ -176,10 +176,10 @@ class Fit:
         totals = np.array([self._sums(row, tests) for row in squares])
         best = np.argmin(totals, axis=0)
         least = np.stack(squares)[best[tests.parts], np.arange(len(tests.areas))]
-        chosen = best.copy()
+        smallest, chosen = self._sums(least, tests), best.copy()
         for i, row in enumerate(squares if doubting else ()):
             doubt = np.sqrt(self._sums((row - least) ** 2, tests))  # of the difference
-            near = totals[i] - self._sums(least, tests) <= doubt
+            near = totals[i] - smallest <= doubt
             chosen = np.where((i > best) & near, i, chosen)
         area = np.maximum(self._sums(tests.areas, tests), 1e-300)
         return chosen, totals[chosen, np.arange(self._count)] / area
